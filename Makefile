@@ -1,0 +1,41 @@
+# The commands a user and a developer need. `make run` and `make test` are the README's two.
+PY  ?= python3
+PIP := $(PY) -m pip --python .venv/bin/python --disable-pip-version-check install --quiet
+BIN := .venv/bin
+
+.PHONY: run test setup bench lock clean
+
+run: .venv/ready ## acquire ten seconds from the simulated meter
+	$(BIN)/aemd acquire --seconds 10 --out recordings
+
+test: .venv/ready ## style, spelling, types, layers, tests, the README's commands
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/codespell
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/pytest
+
+setup: .venv/ready
+
+bench: .venv/ready ## performance, side by side in one run, as ratios
+	$(BIN)/python -m tests.benchmarks
+
+# --without-pip and `pip --python`: Debian packs ensurepip apart from python3.
+.venv/ready: pyproject.toml .ci/requirements.lock .ci/peers.lock
+	$(PY) -m venv --clear --without-pip .venv
+	$(PIP) --require-hashes --only-binary :all: -r .ci/requirements.lock
+	$(PIP) --require-hashes --no-deps --no-build-isolation -r .ci/peers.lock
+	$(PIP) --no-deps --no-build-isolation -e .
+	@touch $@
+
+# The one target that needs uv; it fetches it into a throwaway environment.
+UV := .venv/uv/bin/uv pip compile --universal --python-version 3.11 --generate-hashes --quiet \
+      --no-emit-index-url --no-emit-find-links --custom-compile-command "make lock"
+lock:
+	$(PY) -m venv .venv/uv && .venv/uv/bin/python -m pip install --quiet uv
+	$(UV) pyproject.toml --group dev --output-file .ci/requirements.lock
+	$(UV) --group peers --no-deps --output-file .ci/peers.lock
+
+clean:
+	rm -rf .venv recordings

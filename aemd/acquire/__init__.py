@@ -1,0 +1,1 @@
+"""From the instrument to the ring: every reading drained, counted and timed."""

@@ -1,0 +1,152 @@
+"""The contract between aemd and a driver, and how a driver is found.
+
+A driver is a module (or any object) registered in the entry-point group `aemd.drivers`; the simulator of its instrument
+is registered under the same name in `aemd.simulators`. aemd imports neither. `resource = "sim"` starts the simulator on
+loopback and hands the driver its address, so the simulated instrument is reached through the real link.
+"""
+
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from difflib import get_close_matches
+from importlib.metadata import entry_points
+from typing import Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aemd.errors import ConfigError
+
+__all__ = ["Clock", "Drain", "Driver", "Instrument", "Simulator", "find_driver", "find_simulator"]
+
+Clock = Callable[[], int]
+"""Host monotonic time, ns (`time.monotonic_ns`); an argument everywhere, so that a test can move it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drain:
+    """What one look into the instrument's memory brought, oldest reading first."""
+
+    values_V: NDArray[np.float64]
+    """Readings, shape (n,), n >= 0; NaN where the status says that there is no value."""
+    status: NDArray[np.uint32]
+    """Status bits of each reading, shape (n,)."""
+    waiting: int
+    """Readings that were in the memory when the instrument answered, these n included."""
+    asked_ns: int
+    """Host monotonic instant before the count of `waiting` was asked for."""
+    answered_ns: int
+    """Host monotonic instant after the answer came: every waiting reading was finished by then."""
+    received_ns: int
+    """Host monotonic instant at which the values were here."""
+    overflowed: bool = False
+    """The instrument overwrote readings that were never drained; how many, it does not know."""
+    late: bool = False
+    """The instrument could not keep its interval somewhere since the last look."""
+    messages: tuple[str, ...] = ()
+    """What the instrument's error queue held, one line each."""
+
+
+class Instrument(Protocol):
+    """One opened and configured instrument. Not thread-safe: one thread speaks to it."""
+
+    @property
+    def identity(self) -> Mapping[str, str]:
+        """Manufacturer, model, serial, firmware, resource, as the instrument said."""
+
+    @property
+    def settings(self) -> Mapping[str, str]:
+        """Every setting as read back, by the name of the command or quantity, and the command list as sent."""
+
+    @property
+    def interval_s(self) -> float:
+        """Time between readings as read back, s."""
+
+    @property
+    def sample_delay_s(self) -> float:
+        """From the middle of a reading's aperture to the moment it is in the memory, s."""
+
+    @property
+    def epoch_readings(self) -> int:
+        """Readings after which the instrument starts its timer anew (a new timing epoch); 0 for never."""
+
+    @property
+    def memory_readings(self) -> int:
+        """Readings that the instrument's memory holds."""
+
+    def start(self) -> None:
+        """Begin sampling; what the memory held is gone.
+
+        Raises:
+            InstrumentError: the instrument refused or the link failed.
+        """
+
+    def drain(self, most: int) -> Drain:
+        """Take up to `most` readings out of the memory, oldest first; returns at once when there are none.
+
+        Raises:
+            InstrumentError: the link failed; readings may still be in the memory.
+        """
+
+    def stop(self) -> None:
+        """End sampling; what is in the memory can still be drained."""
+
+    def close(self) -> None:
+        """Give the instrument back to the person before it (display, local) and close the link. Twice is fine."""
+
+
+class Driver(Protocol):
+    """What an entry point of group `aemd.drivers` loads; a module with these two names will do."""
+
+    @property
+    def Options(self) -> type[Any]:  # noqa: N802 - it is a class
+        """Frozen dataclass of what the config's [instrument] may hold besides `driver` and `resource`."""
+
+    def open_instrument(self, resource: str, options: Any, clock: Clock) -> Instrument:
+        """Open, identify and configure the instrument.
+
+        Raises:
+            InstrumentError: nobody answers, it is another instrument, or it cannot do what the options ask.
+        """
+
+
+class Simulator(Protocol):
+    """What an entry point of group `aemd.simulators` loads."""
+
+    @property
+    def Options(self) -> type[Any]:  # noqa: N802 - it is a class
+        """Frozen dataclass of what the config's [simulator] may hold."""
+
+    def serve(self, options: Any, host: str, port: int) -> AbstractContextManager[str]:
+        """Serve the simulated instrument from a thread; port 0 takes a free one.
+
+        Returns:
+            A context whose value is the VISA resource of the served instrument; leaving it stops the server.
+        """
+
+
+def _find(group: str, kind: str, name: str) -> object:
+    found = {point.name: point for point in entry_points(group=group)}
+    if name not in found:
+        near = get_close_matches(name, found, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ConfigError(f"no {kind} {name!r}{hint} installed: {', '.join(sorted(found)) or 'none'}")
+    return found[name].load()
+
+
+def find_driver(name: str) -> Driver:
+    """Return the installed driver of that name.
+
+    Raises:
+        ConfigError: there is none; the message lists those installed.
+    """
+    return cast("Driver", _find("aemd.drivers", "driver", name))
+
+
+def find_simulator(name: str) -> Simulator:
+    """Return the simulator of that driver's instrument.
+
+    Raises:
+        ConfigError: there is none; the message lists those installed.
+    """
+    return cast("Simulator", _find("aemd.simulators", "simulator of", name))

@@ -1,0 +1,1 @@
+"""From readings and estimates to MCAP, and back."""
