@@ -1,0 +1,81 @@
+"""A simulated Agilent 34410A that answers SCPI on a real socket.
+
+    clients ──> server ──> Session.handle(bytes) ──> commands ──> Meter ──> Input (a model, or a recording)
+                sockets    lines, SCPI               one table    clock, trigger, memory, noise
+
+Only the server knows sockets and threads; everything before it takes the time from a clock that is an argument.
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from annotated_types import Ge, Interval
+
+from aemd.model import GaussMarkov, Model, Shocks, Term
+from sim34410.meter import Input, Meter, MeterProperties
+from sim34410.playback import read_playback
+from sim34410.server import serve_meter
+
+__all__ = ["Input", "Meter", "MeterProperties", "Options", "make_meter", "serve", "serve_meter"]
+
+SENSOR: tuple[Term, ...] = (
+    GaussMarkov.from_sd(sd_V=2e-3, tau_s=5.0, role="signal"),
+    GaussMarkov(role="internal", rate_V_per_rt_s=2e-5),
+    Shocks(rate_per_s=0.05, sd_V=20e-3, decay_s=0.1),
+)
+"""A sensor in the style of the paper's accelerometer: some mV of signal, a bias that walks 1 mV in 40 min, and a shock
+of tens of mV every 20 s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """The simulated meter, its bench and what is connected to it."""
+
+    identity: str = "Agilent Technologies,34410A,MY47006594,2.35-2.35-0.09-46-09"
+    """Answer to *IDN?."""
+    line_frequency_hz: Annotated[float, Interval(ge=45, le=65)] = 50.0
+    """What the meter found at power on, Hz."""
+    seed: Annotated[int, Ge(0)] = 1
+    """Of the input's history and of the meter's noise."""
+    terms: tuple[Term, ...] = SENSOR
+    """The model of the input, unless a recording is given."""
+    recording: Path | None = None
+    """A CSV (`time,value`: seconds, volts) to be played back as the input, again and again."""
+    clock_error_ppm: Annotated[float, Interval(ge=-1000, le=1000)] = 0.0
+    """How much the meter's clock runs fast."""
+    noise: bool = True
+    """Whether the meter adds its own noise and offset drift."""
+
+
+def make_meter(options: Options) -> Meter:
+    """Return a meter that has just been switched on.
+
+    Raises:
+        RecordingError: the recording cannot be read.
+    """
+    source: Input = (
+        Model(options.terms, options.seed).realise() if options.recording is None else read_playback(options.recording)
+    )
+    properties = MeterProperties(
+        identity=options.identity,
+        line_frequency_hz=options.line_frequency_hz,
+        seed=options.seed,
+        clock_error_ppm=options.clock_error_ppm,
+        noise=options.noise,
+    )
+    return Meter(source, time.monotonic_ns, properties)
+
+
+@contextmanager
+def serve(options: Options, host: str, port: int) -> Iterator[str]:
+    """Serve the simulated meter from a thread; port 0 takes a free one.
+
+    Returns:
+        A context whose value is the VISA resource of the meter; leaving it stops the server.
+    """
+    with serve_meter(make_meter(options), host, port, time.monotonic_ns) as resource:
+        yield resource
