@@ -7,6 +7,8 @@ What was measured of pyvisa-py 0.8 and is guarded against here:
 - With the termination character on, each 0x0A inside a binary block costs a read. So blocks are read with it off, by
   exact count.
 - A late answer is given to the next question. So a link that failed once is closed, not used again.
+- TCP_NODELAY cannot be set, so a question after a mere command waits for that command's acknowledgement, up to 40 ms.
+  So commands are sent as part of a question.
 - Failures come as VisaIOError, OSError, ValueError or EOFError, and of opening also as a bare Exception.
 """
 
@@ -16,7 +18,7 @@ from threading import Lock
 from typing import Protocol, cast
 
 import pyvisa
-from pyvisa.constants import ResourceAttribute, StatusCode
+from pyvisa.constants import StatusCode
 from pyvisa.errors import VisaIOError
 from pyvisa.resources import MessageBasedResource
 
@@ -117,9 +119,6 @@ class _VisaLink:
         session.write_termination = "\n"
         session.read_termination = "\n"
         session.chunk_size = 1 << 20  # a whole block in one read
-        if resource.upper().endswith("SOCKET"):
-            # Without this a question right after a command waits for the command's acknowledgement, 40 ms.
-            session.set_visa_attribute(ResourceAttribute.tcpip_nodelay, state=True)
 
     def write(self, command: str) -> None:
         with self._failures(command) as session:

@@ -84,11 +84,8 @@ class Meter:
         """
         link, options = self._link, self._options
         commands = _commands(options)
-        link.write("*CLS")
         for command in commands:
-            refusal = link.query(f"{command};:SYST:ERR?")
-            if not _is_no_error(refusal):
-                raise InstrumentError(f"{link.resource}: {command}: the meter refused: {refusal}; see its manual")
+            self._command(command)
         answers = {question: link.query(question) for question in _questions(options)}
         self.settings = {"commands": "; ".join(commands), **answers}
         self.interval_s = self._number(answers, "SAMP:TIM?")
@@ -104,9 +101,13 @@ class Meter:
         self.sample_delay_s = aperture_s * (1.5 if autozero else 0.5)
 
     def start(self) -> None:
-        """Begin sampling; INIT clears the memory and the events of the time before."""
+        """Begin sampling; INIT clears the memory, the question before it the events of an earlier stream.
+
+        Raises:
+            InstrumentError: the meter refused, or the link failed.
+        """
         self._link.query("STAT:QUES:EVEN?")
-        self._link.write("INIT")
+        self._command("INIT")
 
     def drain(self, most: int) -> Drain:
         """Take up to `most` readings out of the memory, oldest first.
@@ -134,8 +135,12 @@ class Meter:
         )
 
     def stop(self) -> None:
-        """End sampling; the memory stays readable."""
-        self._link.write("ABOR")
+        """End sampling; the memory stays readable.
+
+        Raises:
+            InstrumentError: the link failed.
+        """
+        self._command("ABOR")
 
     def close(self) -> None:
         """Stop, light the display, unlock the front panel, close the link; a dead link is no reason to complain."""
@@ -146,6 +151,11 @@ class Meter:
             self._link.query("ABOR;:DISP ON;*OPC?")  # the answer tells that it was heard before the link goes
             self._link.write("SYST:LOC")
         self._link.close()
+
+    def _command(self, command: str) -> None:
+        refusal = self._link.query(f"{command};:SYST:ERR?")
+        if not _is_no_error(refusal):
+            raise InstrumentError(f"{self._link.resource}: {command}: the meter refused: {refusal}; see its manual")
 
     def _take(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
         block = self._link.query_block(f"R? {count}")
@@ -214,6 +224,7 @@ def _identify(link: Link) -> dict[str, str]:
 def _commands(options: Options) -> list[str]:
     """Return the set-up in the order in which it must come: CONF resets the trigger settings, so it is first."""
     return [
+        "*CLS",
         "ABOR",
         "*RST",
         f"CONF:VOLT:DC {options.range_V:g}",
