@@ -1,0 +1,344 @@
+"""Recording: a recording read back as the batches that were written, in constant memory.
+
+The records are walked from the beginning over a memory map, so a file that was never finished, or is still being
+written, reads as far as it goes. The summary at the end is not needed.
+"""
+
+import mmap
+import struct
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, Self, TypeVar, cast
+
+import numpy as np
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, McapRecord, Metadata, Schema
+from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
+
+from aemd.block import Batch, Estimates
+from aemd.errors import RecordingError
+from aemd.record.chunk import BadChunkError, MessageKind, decode_chunk
+from aemd.record.counts import Counts
+from aemd.record.cut import Piece, cut, make_batch
+from aemd.record.description import Description
+from aemd.record.schema import COLUMNS, ENCODING, FILTERED, RAW, SCHEMAS, WITNESS, WITNESS_PREFIX, make_layout
+
+__all__ = ["Recording", "Statistics"]
+
+_FRAME = struct.Struct("<BQ")
+_FOOTER = bytes([Opcode.FOOTER]) + (20).to_bytes(8, "little")
+_END_BYTES = len(_FOOTER) + 20 + len(MCAP0_MAGIC)
+_SEQUENCES = 1 << 32
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """What a recording holds, in a few figures."""
+
+    readings: int
+    estimates: int
+    lost: int
+    gaps: int
+    t0_ns: int
+    """Instant of the first reading; 0 if there is none."""
+    t1_ns: int
+    """Instant of the last."""
+    topics: Mapping[str, int]
+    """Messages by topic."""
+
+
+_AnyRecord = TypeVar("_AnyRecord", bound=McapRecord)
+
+
+class _Record(NamedTuple):
+    """Where a record is in the file."""
+
+    opcode: int
+    at: int
+    begin: int
+    """First byte of its body."""
+    end: int
+
+
+class Recording:
+    """A recording, open for reading; a context manager."""
+
+    def __init__(self, path: Path, *, allow_unfinished: bool = False) -> None:
+        """Open the file and read all but its messages.
+
+        Args:
+            path: a .mcap file, or the .mcap.active of a recording that was not finished.
+            allow_unfinished: read what has no end as far as it goes, instead of refusing it.
+
+        Raises:
+            RecordingError: it cannot be read, is no MCAP file, has no end, or is none of our recordings.
+        """
+        self.path = path
+        self._map = _open_map(path)
+        self.metadata: dict[str, dict[str, str]] = {}
+        """Every Metadata record by its name; one that comes twice adds to the first."""
+        self.channels: dict[str, Channel] = {}
+        """By topic."""
+        self._attachments: dict[str, bytes] = {}
+        self._counted: records.Statistics | None = None
+        self._read_bytes = 0
+        try:
+            self.is_finished = _has_end(self._map)
+            """Whether the file was closed in order."""
+            self._kinds = self._scan(allow_unfinished=allow_unfinished)
+            self.description = self._describe()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def size_bytes(self) -> int:
+        """Length of the file."""
+        return len(self._map)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the file. Twice is fine."""
+        self._map.close()
+
+    def attachment(self, name: str) -> bytes:
+        """Return what is attached under that name.
+
+        Raises:
+            RecordingError: nothing is.
+        """
+        if name not in self._attachments:
+            held = ", ".join(sorted(self._attachments)) or "none"
+            raise RecordingError(f"{self.path}: has no attachment {name!r}; attached: {held}")
+        return self._attachments[name]
+
+    def batches(self, batch_readings: int | None = None) -> Iterator[Batch]:
+        """Yield the readings in order; events and witness values come with the first reading after them in the file.
+
+        Args:
+            batch_readings: readings in each batch but the last; None for as many as each chunk holds.
+
+        Raises:
+            RecordingError: the file is damaged.
+        """
+        topics = [topic for topic in self.channels if topic != FILTERED]
+        for piece in cut(self._pieces(topics), batch_readings):
+            yield make_batch(piece)[0]
+
+    def batches_with_estimates(self, batch_readings: int | None = None) -> Iterator[tuple[Batch, Estimates]]:
+        """Yield the same, each with the recorded estimates that its readings made ready.
+
+        Those of an estimator that lags belong to earlier readings; pair them by index.
+
+        Raises:
+            RecordingError: the file is damaged.
+        """
+        for piece in cut(self._pieces(self.channels), batch_readings):
+            yield make_batch(piece)
+
+    def statistics(self) -> Statistics:
+        """Return what the recording holds: as it was counted at its end or, if that is missing, by reading it all.
+
+        Raises:
+            RecordingError: the file is damaged.
+        """
+        close = self.metadata.get("aemd.close", {})
+        if self.is_finished and self._counted is not None and close:
+            counts = self._counted.channel_message_counts
+            topics = {topic: counts.get(channel.id, 0) for topic, channel in self.channels.items()}
+            try:
+                figures = {
+                    name: int(close[name]) for name in ("readings", "estimates", "lost", "gaps", "t0_ns", "t1_ns")
+                }
+            except (KeyError, ValueError):
+                pass  # closed by another program
+            else:
+                return Statistics(topics=topics, **figures)
+        return self._count()
+
+    def _count(self) -> Statistics:
+        counted, topics = Counts(self.description.first_index), dict.fromkeys(self.channels, 0)
+        for piece in cut(self._pieces(self.channels), None):
+            counted.add(*make_batch(piece))
+            for topic, messages in piece.items():
+                topics[topic] += len(messages.at)
+        return Statistics(
+            readings=counted.readings,
+            estimates=counted.estimates,
+            lost=counted.lost,
+            gaps=counted.gaps,
+            t0_ns=counted.t0_ns,
+            t1_ns=counted.t1_ns,
+            topics=topics,
+        )
+
+    # What stands around the messages.
+
+    def _scan(self, *, allow_unfinished: bool) -> dict[int, MessageKind]:
+        """Take in every record that is not a message, and return what the messages of each channel are."""
+        if not (self.is_finished or allow_unfinished):
+            last = max((record.end for record in self._walk()), default=len(MCAP0_MAGIC))
+            raise RecordingError(
+                f"{self.path}: is unfinished: it breaks off at byte {last} of {len(self._map)}, without a footer; "
+                "`aemd info` tells what it holds up to there"
+            )
+        schemas: dict[int, Schema] = {}
+        for record in self._walk():
+            match record.opcode:
+                case Opcode.SCHEMA:
+                    schema = self._parse(Schema, record)
+                    schemas[schema.id] = schema
+                case Opcode.CHANNEL:
+                    channel = self._parse(Channel, record)
+                    self.channels[channel.topic] = channel
+                case Opcode.METADATA:
+                    metadata = self._parse(Metadata, record)
+                    self.metadata.setdefault(metadata.name, {}).update(metadata.metadata)
+                case Opcode.ATTACHMENT:
+                    attachment = self._parse(Attachment, record)
+                    self._attachments[attachment.name] = attachment.data
+                case Opcode.STATISTICS:
+                    self._counted = self._parse(records.Statistics, record)
+                case Opcode.MESSAGE:
+                    raise RecordingError(
+                        f"{self.path}: has a message outside a chunk at byte {record.at}; we read chunked files only"
+                    )
+        if RAW not in self.channels:
+            topics = ", ".join(sorted(self.channels)) or "none"
+            raise RecordingError(
+                f"{self.path}: has no topic {RAW} of {SCHEMAS[RAW]}, which we need; its topics: {topics}"
+            )
+        return dict(self._kind_of(topic, schemas) for topic in self.channels if _is_ours(topic))
+
+    def _kind_of(self, topic: str, schemas: Mapping[int, Schema]) -> tuple[int, MessageKind]:
+        channel = self.channels[topic]
+        schema, needed = schemas.get(channel.schema_id), SCHEMAS.get(topic, WITNESS)
+        if schema is None or schema.name != needed or channel.message_encoding != ENCODING:
+            name = "no schema" if schema is None else f"{schema.name!r} as {channel.message_encoding!r}"
+            raise RecordingError(f"{self.path}: topic {topic} has {name}; we read {needed} as {ENCODING} only")
+        if needed not in COLUMNS:
+            return channel.id, MessageKind(topic, needed, None)
+        layout = make_layout(schema.data, needed, COLUMNS[needed])
+        if layout is None:
+            raise RecordingError(
+                f"{self.path}: topic {topic} has a {needed} that lacks one of {', '.join(COLUMNS[needed])}, or has "
+                "fields without fixed width and presence; we read those of aemd only"
+            )
+        return channel.id, MessageKind(topic, needed, layout)
+
+    def _describe(self) -> Description:
+        raw, segment = self.channels[RAW].metadata, self.metadata.get("aemd.segment", {})
+        stages = ("session", "instrument", "calibration", "estimator", "clock")
+        try:
+            first_index, interval_s = int(segment.get("first_index", "0")), float(segment.get("interval_s", "0"))
+        except ValueError as error:
+            raise RecordingError(f"{self.path}: metadata aemd.segment: {error}; it must hold numbers") from error
+        return Description(
+            unit=raw.get("unit", "V"),
+            quantity=raw.get("quantity", "voltage"),
+            interval_s=interval_s,
+            first_index=first_index,
+            witnesses={
+                topic.removeprefix(WITNESS_PREFIX): channel.metadata.get("unit", "")
+                for topic, channel in self.channels.items()
+                if topic.startswith(WITNESS_PREFIX)
+            },
+            config_toml=self._attachments.get("config.toml", b"").decode(errors="replace"),
+            **{stage: self.metadata.get(f"aemd.{stage}", {}) for stage in stages},
+        )
+
+    # Records and chunks.
+
+    def _walk(self) -> Iterator[_Record]:
+        """Yield every whole record of the file, to its footer or to where an unfinished file breaks off."""
+        at = len(MCAP0_MAGIC)
+        while at + _FRAME.size <= len(self._map):
+            opcode, length = _FRAME.unpack_from(self._map, at)
+            end = at + _FRAME.size + length
+            if opcode == 0 or end > len(self._map):  # zeros are what a file system leaves where a write got lost
+                break
+            yield _Record(opcode, at, at + _FRAME.size, end)
+            if opcode == Opcode.FOOTER:
+                return
+            at = end
+        if self.is_finished:
+            raise RecordingError(f"{self.path}: is damaged: no record at byte {at}")
+
+    def _parse(self, kind: type[_AnyRecord], record: _Record) -> _AnyRecord:
+        try:
+            parsed = kind.read(ReadDataStream(BytesIO(self._map[record.begin : record.end])))  # type: ignore[attr-defined] # every subclass has it
+        except (struct.error, UnicodeDecodeError, EndOfFile) as error:
+            raise RecordingError(f"{self.path}: is damaged: its {kind.__name__} at byte {record.at}") from error
+        return cast("_AnyRecord", parsed)
+
+    def _chunks(self) -> Iterator[tuple[_Record, list[_Record]]]:
+        """Yield each chunk with the message indexes behind it."""
+        chunk, indexes = None, list[_Record]()
+        for record in self._walk():
+            if record.opcode == Opcode.MESSAGE_INDEX:
+                indexes.append(record)
+                continue
+            if chunk is not None:
+                yield chunk, indexes
+            chunk, indexes = (record if record.opcode == Opcode.CHUNK else None), []
+        if chunk is not None:
+            yield chunk, indexes
+
+    def _pieces(self, topics: Collection[str]) -> Iterator[Piece]:
+        """Yield what each chunk holds of these topics, the indexes of readings and estimates in full."""
+        # The first estimate may belong to a reading before the recording's first, if the estimator lags.
+        last = {RAW: self.description.first_index - 1, FILTERED: self.description.first_index - _SEQUENCES // 2}
+        base = 0
+        for chunk, indexes in self._chunks():
+            bodies = (self._map[index.begin : index.end] for index in indexes)
+            try:
+                piece, length = decode_chunk(self._map[chunk.begin : chunk.end], bodies, self._kinds, topics, base)
+            except BadChunkError as error:
+                raise RecordingError(f"{self.path}: is damaged: its chunk at byte {chunk.at} {error}") from error
+            base += length
+            for topic in last.keys() & piece.keys():
+                values = piece[topic].values
+                values["index"] = _unwrap(values["index"], last[topic])
+                last[topic] = int(values["index"][-1])
+            yield piece
+
+
+def _unwrap(sequence: NDArray[np.int64], last: int) -> NDArray[np.int64]:
+    """Return the indexes whose lower 32 bits these are, each less than one turn after the one before it."""
+    steps = np.diff(sequence, prepend=last) & (_SEQUENCES - 1)
+    return last + np.cumsum(steps)
+
+
+def _is_ours(topic: str) -> bool:
+    return topic in SCHEMAS or topic.startswith(WITNESS_PREFIX)
+
+
+def _has_end(octets: mmap.mmap) -> bool:
+    end = octets[-_END_BYTES:]
+    return len(end) == _END_BYTES and end.startswith(_FOOTER) and end.endswith(MCAP0_MAGIC)
+
+
+def _open_map(path: Path) -> mmap.mmap:
+    try:
+        with path.open("rb") as file:
+            if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+                return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from error
+    raise RecordingError(
+        f"{path}: is no MCAP file: its first 8 bytes are not MCAP's; import a table with `aemd import`"
+    )

@@ -1,0 +1,232 @@
+"""Recorder: a sink that turns readings, estimates and events into the chunks of an MCAP file.
+
+A chunk is closed after an interval (live, so that a crash costs no more than that) or by its size (always; writing from
+a file, only). What is written by size only does not depend on how the stream was cut into batches.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.well_known import SchemaEncoding
+from numpy.typing import NDArray
+
+from aemd.block import Batch, Estimates
+from aemd.errors import RecordingError
+from aemd.record.counts import Counts
+from aemd.record.description import Description
+from aemd.record.growing import Compression, Durability, GrowingFile
+from aemd.record.rows import EMPTY, Track, merge
+from aemd.record.schema import (
+    COLUMNS,
+    ENCODING,
+    EVENT,
+    FILTERED,
+    HEADER_BYTES,
+    RAW,
+    SCHEMA_DATA,
+    SCHEMAS,
+    WITNESS,
+    WITNESS_PREFIX,
+    Layout,
+    encode_event,
+    make_layout,
+)
+
+__all__ = ["CHUNK_BYTES", "Recorder"]
+
+CHUNK_BYTES = 1 << 20  # larger gains nothing in size or speed, and a reader holds one in memory
+
+
+class Recorder:
+    """Writes one recording. Not thread-safe; `Background` puts it into a thread of its own.
+
+    Arrays handed to `write` must not change afterwards: they are encoded when their chunk is closed.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        description: Description,
+        *,
+        flush_interval_s: float | None = None,
+        chunk_bytes: int = CHUNK_BYTES,
+        compression: Compression = "zstd",
+        durability: Durability = "crash",
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        """Create the file and write all that is known before the first reading.
+
+        Args:
+            path: name of the finished recording; it must not exist.
+            description: what is recorded.
+            flush_interval_s: longest time a reading waits for its chunk to be closed; None for by size only.
+            chunk_bytes: a chunk is closed with the message that makes it at least this long.
+            compression: of the chunks.
+            durability: "power" waits for the disk after each chunk, so that a power cut costs no more than a crash of
+                the program; "crash" leaves the time to the kernel.
+            clock: host monotonic time, ns.
+
+        Raises:
+            RecordingError: the file exists, or cannot be created or written.
+        """
+        self._flush_interval_ns = None if flush_interval_s is None else round(flush_interval_s * 1e9)
+        self._chunk_bytes = chunk_bytes
+        self._clock = clock
+        self._description = description
+        self._waiting: list[tuple[Batch, Estimates]] = []
+        self._waiting_bytes = 0
+        self._rows = EMPTY  # encoded, and too few for a chunk
+        self._due_ns = 0
+        self._log_time_ns = 0
+        self._counts = Counts(description.first_index)
+
+        schemas, channels = _declare(description)
+        self._ids = {channel.topic: channel.id for channel in channels}
+        self._layouts = {name: _layout(name) for name in COLUMNS}
+        self._file = GrowingFile(path, schemas, channels, compression=compression, durability=durability)
+        segment = {"first_index": str(description.first_index), "interval_s": repr(description.interval_s)}
+        for name, pairs in {
+            "session": description.session,
+            "instrument": description.instrument,
+            "calibration": description.calibration,
+            "estimator": description.estimator,
+            "clock": description.clock,
+            "segment": segment,
+        }.items():
+            if pairs:
+                self._file.append(Metadata(f"aemd.{name}", dict(pairs)))
+        self._file.sync()
+        # After the first chunk: `mcap recover` rewrites a file that begins with an attachment without compression.
+        self._config_waits = bool(description.config_toml)
+
+    @property
+    def counts(self) -> Counts:
+        """What was taken so far."""
+        return self._counts
+
+    def write(self, batch: Batch, estimates: Estimates) -> None:
+        """Take one batch and the estimates that became ready with it; an empty batch only looks at the clock.
+
+        Raises:
+            RecordingError: the disk refused, now or before. What was written before is kept and readable.
+        """
+        if not self._file.is_open:
+            raise RecordingError(f"{self._file.path}: is closed: nothing can be added; start another recording")
+        if len(batch.readings) or len(estimates) or batch.events or batch.witnesses:
+            if self._flush_interval_ns is not None and not self._waiting and not len(self._rows.start):
+                self._due_ns = self._clock() + self._flush_interval_ns
+            self._waiting.append((batch, estimates))
+            self._waiting_bytes += self._bytes_of(batch, estimates)
+            self._counts.add(batch, estimates)
+        due = self._flush_interval_ns is not None and self._clock() >= self._due_ns
+        if due or self._waiting_bytes + len(self._rows.octets) >= self._chunk_bytes:
+            self._write_chunks(to_the_last=due)
+
+    def close(
+        self, reason: str = "stop", *, facts: Mapping[str, str] | None = None, clock: Mapping[str, str] | None = None
+    ) -> Path:
+        """Write what is left, finish the file and give it its name. Twice is fine.
+
+        Args:
+            reason: one word: stop, end, failed.
+            facts: what the acquisition counted, such as acquired; added to our own counts, and winning over them.
+            clock: the clock's epoch, offset and uncertainty as known now.
+
+        Returns:
+            Where the readings are: the finished recording, or the .active file if a write has failed before.
+
+        Raises:
+            RecordingError: the disk refused, or the name was taken meanwhile; the .active file is kept and readable.
+        """
+        if self._file.is_open:
+            self._write_chunks(to_the_last=True)
+            self._write_config()
+            if clock:
+                self._file.append(Metadata("aemd.clock", dict(clock)))
+            self._file.append(Metadata("aemd.close", {"reason": reason} | self._counts.to_text() | dict(facts or {})))
+            self._file.finish()
+        return self._file.active if self._file.active.exists() else self._file.path
+
+    def discard(self) -> None:
+        """Remove the unfinished file; a finished one stays. Twice is fine."""
+        self._file.discard()
+
+    def _bytes_of(self, batch: Batch, estimates: Estimates) -> int:
+        witnesses = sum(len(values) for values in batch.witnesses.values())
+        fixed = {SCHEMAS[RAW]: len(batch.readings), SCHEMAS[FILTERED]: len(estimates), WITNESS: witnesses}
+        events = sum(HEADER_BYTES + len(encode_event(event)) for event in batch.events)
+        return events + sum(self._layouts[name].row.itemsize * count for name, count in fixed.items())
+
+    def _write_chunks(self, *, to_the_last: bool) -> None:
+        if self._waiting:
+            self._encode_waiting()
+        while len(self._rows.octets) >= self._chunk_bytes or (to_the_last and len(self._rows.start)):
+            chunk, self._rows = self._rows.split(int(np.searchsorted(self._rows.start, self._chunk_bytes)))
+            self._file.write_chunk(chunk)
+            self._write_config()
+
+    def _encode_waiting(self) -> None:
+        """Turn what waits into rows behind those that wait already."""
+        batches = [batch for batch, _ in self._waiting]
+        events = [event for batch in batches for event in batch.events]
+        # At equal instants: what happened to the stream, then the reading, then its estimate.
+        happened = [encode_event(event) for event in events]
+        tracks = [Track(self._ids[EVENT], np.array([event.t_ns for event in events], np.int64), happened)]
+        for name in {name: None for batch in batches for name in batch.witnesses}:
+            values = [batch.witnesses[name] for batch in batches if name in batch.witnesses]
+            tracks.append(self._track(WITNESS_PREFIX + name, WITNESS, values))
+        tracks.append(self._track(RAW, SCHEMAS[RAW], [batch.readings for batch in batches]))
+        if FILTERED in self._ids:
+            tracks.append(self._track(FILTERED, SCHEMAS[FILTERED], [estimates for _, estimates in self._waiting]))
+        self._waiting.clear()
+        self._waiting_bytes = 0
+
+        rows = merge(tracks, self._log_time_ns)
+        if len(rows.log_time):
+            self._log_time_ns = int(rows.log_time[-1])
+            self._rows = self._rows.join(rows) if len(self._rows.start) else rows
+
+    def _track(self, topic: str, schema: str, arrays: list[NDArray[np.void]]) -> Track:
+        values = arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+        rows = self._layouts[schema].make_rows(len(values), self._ids[topic])
+        rows["publish_time"] = values["t_ns"]
+        rows["sequence"] = values["index"] & 0xFFFFFFFF if schema != WITNESS else 0
+        for field, column in COLUMNS[schema].items():
+            rows[field] = values[column]
+        return Track(self._ids[topic], values["t_ns"], rows)
+
+    def _write_config(self) -> None:
+        if self._config_waits:
+            self._config_waits = False
+            text = self._description.config_toml.encode()
+            self._file.append(Attachment(0, self._log_time_ns, "config.toml", "application/toml", text))
+
+
+def _layout(name: str) -> Layout:
+    layout = make_layout(SCHEMA_DATA, name, COLUMNS[name])
+    assert layout is not None, name  # noqa: S101 - of our own schema
+    return layout
+
+
+def _declare(description: Description) -> tuple[list[Schema], list[Channel]]:
+    """Return the schemas and channels of a recording; the numbers of both begin with 1."""
+    topics = {topic: schema for topic, schema in SCHEMAS.items() if topic != FILTERED or description.estimator}
+    topics |= {WITNESS_PREFIX + name: WITNESS for name in description.witnesses}
+    names = list(dict.fromkeys(topics.values()))
+    told = {WITNESS_PREFIX + name: {"unit": unit} for name, unit in description.witnesses.items() if unit}
+    reading = {"unit": description.unit, "quantity": description.quantity}
+    if description.interval_s:
+        reading["nominal_rate_hz"] = repr(1 / description.interval_s)
+    told |= {
+        RAW: reading | {"processing": "none"},
+        FILTERED: reading | {"processing": description.estimator.get("name", "")},
+    }
+    schemas = [Schema(id_, SCHEMA_DATA, SchemaEncoding.Protobuf, name) for id_, name in enumerate(names, start=1)]
+    channels = [
+        Channel(id_, topic, ENCODING, told.get(topic, {}), names.index(schema) + 1)
+        for id_, (topic, schema) in enumerate(topics.items(), start=1)
+    ]
+    return schemas, channels
