@@ -1,0 +1,65 @@
+"""The estimators by name, and the way from options to an estimator and back."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from difflib import get_close_matches
+from typing import Any
+
+from aemd.errors import ConfigError
+from aemd.estimate.aem import Aem, AemOptions
+from aemd.estimate.kalman import Kalman, KalmanOptions
+from aemd.estimate.protocol import Estimator
+from aemd.estimate.rem import Rem, RemOptions
+
+__all__ = ["ESTIMATORS", "make_estimator", "options_of"]
+
+ESTIMATORS: dict[str, tuple[type[Any], type[Any]]] = {
+    "aem": (AemOptions, Aem),
+    "rem": (RemOptions, Rem),
+    "kalman": (KalmanOptions, Kalman),
+}
+"""Name -> its options (a frozen dataclass) and its class, made from options and the interval in seconds."""
+
+
+def make_estimator(name: str, options: Any, interval_s: float) -> Estimator:
+    """Return a new estimator.
+
+    Args:
+        name: key of ESTIMATORS.
+        options: its options object, or a mapping of fields to values; what is missing has its default.
+        interval_s: between readings, s.
+
+    Raises:
+        ConfigError: no such estimator, no such option, or a value out of bounds.
+
+    >>> make_estimator("kalman", {"sigma_R_V": 1e-6}, 1 / 15).name
+    'kalman'
+    """
+    if name not in ESTIMATORS:
+        nearest = get_close_matches(name, ESTIMATORS, n=1)
+        hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
+        raise ConfigError(f"no estimator {name!r}{hint}; there are: {', '.join(ESTIMATORS)}")
+    options_type, estimator_type = ESTIMATORS[name]
+    if isinstance(options, Mapping):
+        unknown = [key for key in options if key not in options_type.__dataclass_fields__]
+        if unknown:
+            known = ", ".join(options_type.__dataclass_fields__)
+            raise ConfigError(f"estimator {name!r}: {unknown[0]}: no such option; there are: {known}")
+        # A table of a config file has lists where the options have tuples.
+        values = {key: tuple(value) if isinstance(value, list) else value for key, value in options.items()}
+        try:
+            options = options_type(**values)
+        except ValueError as error:
+            raise ConfigError(f"estimator {name!r}: {error}") from error
+    if type(options) is not options_type:
+        raise ConfigError(f"estimator {name!r}: takes {options_type.__name__}, not {type(options).__name__}")
+    estimator: Estimator = estimator_type(options, interval_s)
+    return estimator
+
+
+def options_of(estimator: Any) -> dict[str, Any]:
+    """Return all options of an estimator as plain values; `make_estimator` makes its exact copy from them.
+
+    The interval is not among them: it is `estimator.interval_s`.
+    """
+    return asdict(estimator.options)
