@@ -16,7 +16,8 @@ from typing import Annotated
 from annotated_types import Ge, Interval
 
 from aemd.model import GaussMarkov, Model, Shocks, Term
-from sim34410.meter import Input, Meter, MeterProperties
+from sim34410.converter import Input
+from sim34410.meter import Meter, MeterProperties
 from sim34410.playback import read_playback
 from sim34410.server import serve_meter
 

@@ -219,7 +219,8 @@ def _count(parameters: tuple[str, ...]) -> int:
 
 def _take(meter: Meter, parameters: tuple[str, ...]) -> bytes:
     most = _count(parameters) if parameters else MAX_SAMPLES
-    meter.advance()
+    if len(meter.memory) < most:
+        meter.advance()
     return format_readings(meter.memory.take(most), meter.data_format, meter.byte_order, block=True)
 
 

@@ -7,22 +7,18 @@ nothing, 10,000 readings a second cost a few array operations per question, and 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from math import inf
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aemd.model import GaussMarkov, Truth
+from sim34410.converter import OVERLOAD_V, Converter, Input
 from sim34410.memory import ReadingMemory
-from sim34410.noise import RANGES_V, noise_sd
 from sim34410.schedule import Schedule
 from sim34410.settings import Settings
 from sim34410.status import ErrorQueue, EventRegister, ScpiError, standard_event_bit
 
-__all__ = ["OVERLOAD_V", "TRUTH", "Input", "Meter", "MeterProperties"]
-
-OVERLOAD_V = 9.9e37
-"""What the meter answers beyond its range, with the sign of the input."""
+__all__ = ["TRUTH", "Display", "Meter", "MeterProperties"]
 
 TRUTH = np.dtype(
     [("index", "<i8"), ("begin_ns", "<i8"), ("aperture_ns", "<i8")]
@@ -36,13 +32,6 @@ _CHUNK = 65_536
 
 _VOLTAGE_OVERLOAD, _TIMING_VIOLATION, _MEMORY_OVERFLOW = 1 << 0, 1 << 2, 1 << 14
 _MEASURING, _WAITING, _THRESHOLD = 1 << 4, 1 << 5, 1 << 9
-
-
-class Input(Protocol):
-    """What is connected to the terminals; a ModelRealisation is one."""
-
-    def average(self, start_s: NDArray[np.float64], aperture_s: float) -> Truth:
-        """Return the means over each aperture [start, start + aperture), asked forward in time only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,23 +76,16 @@ class Meter:
         self.data_format = "ASC,8"
         self.byte_order = "NORM"
         self.display = Display()
-        self._source = source
         self._clock = clock
         self._power_on_ns = clock()
         self._rate = 1 + self.properties.clock_error_ppm * 1e-6
-        noise_seed, drift_seed = np.random.SeedSequence(self.properties.seed, spawn_key=(34410,)).spawn(2)
-        self._noise_rng = np.random.default_rng(noise_seed)
-        # The offset that autozero removes: 0.5 uV rms of slow wandering is the size of the 10 V range's specification
-        # over a day, taken per hour and divided by the range; see _offset_V.
-        self._drift = GaussMarkov.from_sd(sd_V=1e-6, tau_s=3600.0).realise(np.random.default_rng(drift_seed))
-        self._zero: float | None = None
+        self._converter = Converter(source, self.properties.seed, noise=self.properties.noise)
         self._schedule: Schedule | None = None
         self._made = 0
         self._index = 0
         self._triggers_left = 0.0
         self._announce_completion = False
         self._truth = np.empty(0, dtype=TRUTH)
-        self._measure_nothing()
 
     # -- state -------------------------------------------------------------------------------------------------------
 
@@ -157,12 +139,12 @@ class Meter:
         self.abort()
         if not settings.measures_alike(self.settings):
             self.memory.clear()
-            self._zero = None
+            self._converter.take_zero()
         self.settings = settings
 
     def take_zero(self) -> None:
         """Measure the offset once, with the next reading, and subtract it from then on (autozero OFF or ONCE)."""
-        self._zero = None
+        self._converter.take_zero()
 
     def initiate(self) -> None:
         """Leave idle: clear the memory, and measure as soon as the trigger comes.
@@ -258,51 +240,25 @@ class Meter:
         aperture_ns = self.settings.aperture_ns(self.line_frequency_hz)
         second = 1e-9 / self._rate
         begin_s, aperture_s = np.asarray(begin_ns * second, dtype=np.float64), aperture_ns * second
-        truth = self._source.average(begin_s, aperture_s)
-        value_V = self._measure(truth.total, begin_s, aperture_s)
+        made = self._converter.convert(begin_s, aperture_s, self.settings.cycles(self.line_frequency_hz), self.settings)
+        if made.range_V != self.settings.range_V:
+            self.settings = replace(self.settings, range_V=made.range_V)
         if self._late:
             self.questionable.happened(_TIMING_VIOLATION)
-        if np.any(np.abs(value_V) == OVERLOAD_V):
+        if np.any(np.abs(made.value_V) == OVERLOAD_V):
             self.questionable.happened(_VOLTAGE_OVERLOAD)
-        if self.memory.append(value_V):
+        if self.memory.append(made.value_V):
             self.questionable.happened(_MEMORY_OVERFLOW)
         if self.properties.truth_readings:
             rows = np.empty(last - first, dtype=TRUTH)
             rows["index"] = self._index + np.arange(last - first)
             rows["begin_ns"] = self._power_on_ns + np.rint(begin_ns / self._rate).astype(np.int64)
             rows["aperture_ns"] = aperture_ns
-            rows["value_V"] = value_V
-            for part in fields(truth):
-                rows[part.name] = getattr(truth, part.name)
+            rows["value_V"] = made.value_V
+            for part in fields(made.truth):
+                rows[part.name] = getattr(made.truth, part.name)
             self._truth = np.concatenate((self._truth, rows))[-self.properties.truth_readings :]
         self._index += last - first
-
-    def _measure(
-        self, input_V: NDArray[np.float64], begin_s: NDArray[np.float64], aperture_s: float
-    ) -> NDArray[np.float64]:
-        """Return readings of the input's means: range, noise, offset, overload."""
-        settings = self.settings
-        if settings.autorange:
-            ranges_V = np.asarray(RANGES_V)[np.searchsorted(_LIMITS_V[:-1], np.abs(input_V))]
-            self.settings = replace(settings, range_V=float(ranges_V[-1]))
-        else:
-            ranges_V = np.full(input_V.size, settings.range_V)
-        value_V = input_V.copy()
-        if self.properties.noise:
-            cycles = settings.cycles(self.line_frequency_hz)
-            sd_V = noise_sd(ranges_V, cycles, autozero=settings.autozero)
-            value_V += sd_V * self._noise_rng.standard_normal(value_V.size)
-            value_V += self._offset(begin_s, aperture_s)
-        limit_V = _LIMITS_V[np.searchsorted(RANGES_V, ranges_V)]
-        return np.where(np.abs(value_V) > limit_V, np.copysign(OVERLOAD_V, value_V), value_V)
-
-    def _offset(self, begin_s: NDArray[np.float64], aperture_s: float) -> NDArray[np.float64]:
-        drift_V = self._drift.average(begin_s, aperture_s)
-        if self.settings.autozero:
-            return np.zeros(drift_V.size)
-        if self._zero is None:
-            self._zero = float(drift_V[0])
-        return drift_V - self._zero
 
     # -- clock and status --------------------------------------------------------------------------------------------
 
@@ -313,12 +269,6 @@ class Meter:
     def _host_ns(self, meter_ns: int) -> int:
         return self._power_on_ns + round(meter_ns / self._rate)
 
-    def _measure_nothing(self) -> None:
-        """Compile the input's kernels now, so that the first reading does not wait for it."""
-        nothing = np.empty(0)
-        self._source.average(nothing, 1.0)
-        self._drift.average(nothing, 1.0)
-
     def _show_state(self) -> None:
         """Bring the Standard Operation condition and *OPC up to date."""
         measuring = self._schedule is not None
@@ -328,7 +278,3 @@ class Meter:
         if self._announce_completion and not measuring and not waiting:
             self._announce_completion = False
             self.standard_event |= 1
-
-
-_LIMITS_V = np.array([0.12, 1.2, 12.0, 120.0, 1000.0])
-"""Largest reading of each range: 120 % of it, and 1000 V on the last."""

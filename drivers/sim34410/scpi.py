@@ -28,6 +28,7 @@ __all__ = [
 SECONDS: Mapping[str, float] = {"": 1, "S": 1, "MS": 1e-3, "US": 1e-6, "NS": 1e-9, "KS": 1e3}
 VOLTS: Mapping[str, float] = {"": 1, "V": 1, "MV": 1e-3, "UV": 1e-6, "KV": 1e3}
 
+_FOREIGN = re.compile(r"[^\t -~]")
 _HEADER = re.compile(r"(\*[A-Z]+|:?[A-Z][A-Z0-9_]*(?::[A-Z][A-Z0-9_]*)*)(\??)")
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?)\s*([A-Z]*)")
 _NODE = re.compile(r"\[:?[^\]]+\]|:?[^:\[\]]+")
@@ -52,7 +53,7 @@ def parse_message(line: str) -> Iterator[Unit]:
     Raises:
         ScpiError: -101, -102 or -151, at the unit that has it.
     """
-    if any(not " " <= character <= "~" and character != "\t" for character in line):
+    if _FOREIGN.search(line):
         raise ScpiError(-101)
     above: tuple[str, ...] = ()
     for text in _split(line, ";"):

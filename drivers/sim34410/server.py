@@ -45,6 +45,7 @@ class _Client:
         self.connection = connection
         self.session = Session(meter)
         self.unsent = bytearray()
+        self.wanted = selectors.EVENT_READ
 
 
 class _Server:
@@ -77,14 +78,16 @@ class _Server:
 
     def _served_once(self) -> bool:
         """Wait for something to happen and deal with it; return whether to stop."""
-        for key, events in self._selector.select(self._pause_s()):
+        ready = self._selector.select(self._pause_s())
+        if not ready:
+            self._meter.advance()
+        for key, events in ready:
             if key.fileobj is self._stopped:
                 return True
             if key.fileobj is self._listener:
                 self._accept()
             elif events & selectors.EVENT_READ:
                 self._receive(key.data)
-        self._meter.advance()
         for client in list(self._clients):
             if client.session.waiting:  # by time, or because another client's command ended the wait
                 client.unsent += client.session.handle(b"")
@@ -134,7 +137,9 @@ class _Server:
             return
         wanted = selectors.EVENT_READ if len(client.unsent) < _BACKLOG_BYTES else 0
         wanted |= selectors.EVENT_WRITE if client.unsent else 0
-        self._selector.modify(client.connection, wanted, client)
+        if wanted != client.wanted:
+            self._selector.modify(client.connection, wanted, client)
+            client.wanted = wanted
 
     def _drop(self, client: _Client) -> None:
         if client in self._clients:
