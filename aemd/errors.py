@@ -9,7 +9,10 @@
 Every message is one line of lower case: place, key, value, rule, way out. Anything else that escapes is a bug.
 """
 
-__all__ = ["AemdError", "ConfigError", "InstrumentError", "RecordingError", "UsageError"]
+from collections.abc import Collection
+from difflib import get_close_matches
+
+__all__ = ["AemdError", "ConfigError", "InstrumentError", "RecordingError", "UsageError", "not_among"]
 
 
 class AemdError(Exception):
@@ -36,3 +39,13 @@ class InstrumentError(AemdError):
 
 class RecordingError(AemdError):
     """A recording or a table cannot be read or written."""
+
+
+def not_among(word: str, known: Collection[str]) -> str:
+    """Return the end of a message about an unknown word: the nearest known one, and all there are.
+
+    >>> not_among("aen", ["rem", "aem"])
+    "did you mean 'aem'? there are: aem, rem"
+    """
+    near = get_close_matches(word, known, n=1)
+    return (f"did you mean {near[0]!r}? " if near else "") + f"there are: {', '.join(sorted(known)) or 'none'}"

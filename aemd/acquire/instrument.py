@@ -8,14 +8,13 @@ loopback and hands the driver its address, so the simulated instrument is reache
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from difflib import get_close_matches
 from importlib.metadata import entry_points
 from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aemd.errors import ConfigError
+from aemd.errors import ConfigError, not_among
 
 __all__ = ["Clock", "Drain", "Driver", "Instrument", "Simulator", "find_driver", "find_simulator"]
 
@@ -128,9 +127,7 @@ class Simulator(Protocol):
 def _find(group: str, kind: str, name: str) -> object:
     found = {point.name: point for point in entry_points(group=group)}
     if name not in found:
-        near = get_close_matches(name, found, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ConfigError(f"no {kind} {name!r}{hint} installed: {', '.join(sorted(found)) or 'none'}")
+        raise ConfigError(f"no {kind} {name!r} is installed; {not_among(name, found)}")
     return found[name].load()
 
 

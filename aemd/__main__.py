@@ -1,0 +1,5 @@
+"""`python -m aemd` is `aemd`."""
+
+from aemd.cli import main
+
+main()

@@ -1,0 +1,168 @@
+"""A recording through the same pipeline again: to the same bits, or with another estimator."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from rich.console import Console
+
+from aemd.block import ESTIMATE, Batch, Estimates
+from aemd.config import EstimatorChoice, name_estimator, recorded_estimator
+from aemd.display import advancing
+from aemd.errors import UsageError
+from aemd.estimate.registry import make_estimator
+from aemd.pipeline import Tally, run
+from aemd.record.description import Description
+from aemd.record.reader import Recording
+from aemd.record.writer import Recorder
+
+__all__ = ["ReplaySummary", "replay"]
+
+
+@dataclass(frozen=True, slots=True)
+class ReplaySummary:
+    """What a replay found."""
+
+    file: str
+    out: str | None
+    """The new recording; None where none was asked for."""
+    readings: int
+    estimator: str
+    readings_per_s: float
+    """From file to sinks: reading, estimating and writing included."""
+    identical: bool | None
+    """Whether the recorded estimates came out again, bit for bit; None where that was not checked."""
+    raw_variance_V2: float | None
+    estimate_variance_V2: float | None
+    difference: str | None = None
+    """Where and how the first estimate differs; None where none does."""
+
+
+def replay(
+    path: Path,
+    *,
+    estimator: str | None = None,
+    out: Path | None = None,
+    check: bool = False,
+    console: Console | None = None,
+) -> ReplaySummary:
+    """Run a recording through an estimator: the recorded one with its recorded options, unless another is named.
+
+    Args:
+        path: the recording.
+        estimator: by name; None for the recorded one, or AEM where none was.
+        out: the new recording; None for none.
+        check: compare with the recorded estimates.
+        console: where progress is shown; None for nowhere.
+
+    Raises:
+        RecordingError: the recording cannot be read, or the new one not written.
+        UsageError: no such estimator, or `check` of a recording without estimates or with another estimator.
+    """
+    with Recording(path) as recording:
+        description = recording.description
+        recorded = recorded_estimator(description, str(path))
+        choice = recorded if recorded and estimator is None else name_estimator(estimator or "aem", recorded)
+        comparison = _Comparison(recorded, choice, path) if check else None
+        tally = Tally(description.first_index)
+        start_ns = time.monotonic_ns()
+        with _recorder(out, description, choice) as recorder, advancing(_expected(recording), console) as bar:
+            run(
+                _heard(recording.batches_with_estimates(), comparison, bar),
+                make_estimator(choice.name, choice.options, description.interval_s),
+                [sink for sink in (tally, recorder, comparison) if sink is not None],
+            )
+        elapsed_s = (time.monotonic_ns() - start_ns) * 1e-9
+    difference = comparison.verdict() if comparison else None
+    return ReplaySummary(
+        file=str(path),
+        out=None if out is None else str(out),
+        readings=tally.counts.readings,
+        estimator=choice.name,
+        readings_per_s=tally.counts.readings / max(elapsed_s, 1e-9),
+        identical=difference is None if check else None,
+        raw_variance_V2=tally.raw.variance,
+        estimate_variance_V2=tally.estimate.variance,
+        difference=difference,
+    )
+
+
+@contextmanager
+def _recorder(out: Path | None, description: Description, choice: EstimatorChoice) -> Iterator[Recorder | None]:
+    """Give a recorder that is closed at the end, or removed with what it wrote if the replay fails."""
+    if out is None:
+        yield None
+        return
+    recorder = Recorder(out, replace(description, estimator=choice.as_text()))
+    try:
+        yield recorder
+    except BaseException:
+        recorder.discard()
+        raise
+    recorder.close("end")
+
+
+def _expected(recording: Recording) -> int | None:
+    """Return how many readings the recording says it has; None where it does not say."""
+    said = recording.metadata.get("aemd.close", {}).get("readings")
+    return None if said is None else int(said)
+
+
+class _Comparison:
+    """A sink that holds the new estimates against the recorded ones, which come by `expect`; both in order."""
+
+    def __init__(self, recorded: EstimatorChoice | None, choice: EstimatorChoice, path: Path) -> None:
+        if recorded is None:
+            raise UsageError(f"{path}: holds no estimates to check; replay it without --check")
+        if recorded != choice:
+            raise UsageError(f"{path}: was estimated by {recorded.name!r}; --check compares with that one only")
+        self._recorded: deque[Estimates] = deque()
+        self._made: deque[Estimates] = deque()
+        self._difference: str | None = None
+
+    def expect(self, estimates: Estimates) -> None:
+        """Take the next recorded estimates."""
+        self._recorded.append(estimates)
+
+    def write(self, batch: Batch, estimates: Estimates) -> None:  # noqa: ARG002 - a sink
+        """Take the next new estimates, and compare as far as both are there."""
+        self._made.append(estimates)
+        while self._recorded and self._made and self._difference is None:
+            recorded, made = self._recorded.popleft(), self._made.popleft()
+            count = min(len(recorded), len(made))
+            self._difference = _first_difference(recorded[:count], made[:count])
+            for queue, rest in ((self._recorded, recorded[count:]), (self._made, made[count:])):
+                if len(rest):
+                    queue.appendleft(rest)
+
+    def verdict(self) -> str | None:
+        """Return where and how the first difference is; None where there is none."""
+        if self._difference is None:
+            recorded, made = (sum(map(len, queue)) for queue in (self._recorded, self._made))
+            if recorded or made:
+                return f"{recorded} recorded and {made} new estimates at the end have no counterpart"
+        return self._difference
+
+
+def _first_difference(recorded: Estimates, made: Estimates) -> str | None:
+    if recorded.tobytes() == made.tobytes():
+        return None
+    rows = zip(recorded, made, strict=True)
+    before, after = next((a, b) for a, b in rows if a.tobytes() != b.tobytes())
+    names = ESTIMATE.names or ()
+    name = next(name for name in names if before[name].tobytes() != after[name].tobytes())
+    return f"reading {before['index']}: {name} was {before[name]!r}, is {after[name]!r}"
+
+
+def _heard(
+    source: Iterable[tuple[Batch, Estimates]], comparison: _Comparison | None, bar: Callable[[int], None]
+) -> Iterator[Batch]:
+    """Pass the batches on; tell the comparison of their recorded estimates, and the progress bar how far we are."""
+    for batch, estimates in source:
+        if comparison is not None:
+            comparison.expect(estimates)
+        bar(len(batch.readings))
+        yield batch

@@ -1,0 +1,174 @@
+"""One acquisition, from config to finished recording; and the simulated meter for others to use."""
+
+import platform
+import socket
+import time
+import uuid
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from aemd import __version__
+from aemd.acquire.acquisition import Acquisition
+from aemd.acquire.instrument import Instrument, find_driver, find_simulator
+from aemd.block import READING
+from aemd.config import Config
+from aemd.display import showing
+from aemd.errors import InstrumentError, RecordingError
+from aemd.estimate.registry import make_estimator
+from aemd.pipeline import Sink, Tally, run
+from aemd.record.background import Background
+from aemd.record.description import Description
+from aemd.record.writer import Recorder
+from aemd.service import stopping_on_signals
+
+__all__ = ["AcquireSummary", "acquire", "opened", "simulated"]
+
+
+@dataclass(frozen=True, slots=True)
+class AcquireSummary:
+    """What an acquisition left behind."""
+
+    file: str
+    readings: int
+    lost: int
+    gaps: int
+    rate_hz: float
+    duration_s: float
+    estimator: str
+    raw_variance_V2: float | None
+    estimate_variance_V2: float | None
+
+
+def simulated(config: Config, host: str = "127.0.0.1", port: int = 0) -> AbstractContextManager[str]:
+    """Serve the config's simulated instrument; the context's value is its VISA resource.
+
+    Raises:
+        InstrumentError: the address cannot be listened on.
+    """
+    return find_simulator(config.driver).serve(config.simulator, host, port)
+
+
+@contextmanager
+def opened(config: Config) -> Iterator[Instrument]:
+    """Open and configure the config's instrument; `sim` starts the simulated one and connects to it by its socket.
+
+    Raises:
+        InstrumentError: nobody answers, it is another instrument, or it cannot do what the config asks.
+    """
+    if config.resource == "sim":
+        with simulated(config) as resource, opened(config.with_resource(resource)) as instrument:
+            yield instrument
+        return
+    instrument = find_driver(config.driver).open_instrument(config.resource, config.instrument, time.monotonic_ns)
+    try:
+        yield instrument
+    finally:
+        instrument.close()
+
+
+def acquire(
+    config: Config,
+    *,
+    seconds: float | None = None,
+    directory: Path | None = None,
+    console: Console,
+    watchers: Sequence[Sink] = (),
+) -> AcquireSummary:
+    """Acquire until so many seconds of readings are there, or until the process is told to stop.
+
+    Args:
+        config: what to do.
+        seconds: length, s; None for until SIGINT or SIGTERM.
+        directory: folder of the recording; None for the config's.
+        console: where progress is shown.
+        watchers: further sinks, which come right after the estimator.
+
+    Raises:
+        InstrumentError: the instrument failed; what came before is in the finished recording, which the message names.
+        RecordingError: the recording cannot be written; what was flushed is readable.
+    """
+    folder = Path(config.recording.directory) if directory is None else directory
+    with opened(config) as instrument:
+        estimator = make_estimator(config.estimator.name, config.estimator.options, instrument.interval_s)
+        estimator.push(np.empty(0, READING))  # compiles the kernel, which the first readings should not wait for
+        most = None if seconds is None else max(1, round(seconds / instrument.interval_s))
+        tally = Tally()
+        recorder = Background(_open_recorder(config, instrument, folder))
+        failure: InstrumentError | None = None
+        try:
+            with (
+                Acquisition(instrument, most_readings=most) as acquisition,
+                stopping_on_signals(acquisition.stop),
+                showing(tally, config.scale, console, time.monotonic_ns) as progress,
+            ):
+                run(acquisition.batches(), estimator, [*watchers, tally, recorder, progress])
+        except InstrumentError as error:
+            failure = error
+        except BaseException:
+            recorder.close("failed")
+            raise
+        path = recorder.close(
+            "stop" if failure is None else "failed",
+            facts={"acquired": str(acquisition.counts.acquired)},
+            clock=acquisition.clock_facts,
+        )
+    if failure is not None:
+        raise InstrumentError(f"{failure}; the {tally.counts.readings} readings before are in {path}") from failure
+    return AcquireSummary(
+        file=str(path),
+        readings=tally.counts.readings,
+        lost=tally.counts.lost,
+        gaps=tally.counts.gaps,
+        rate_hz=tally.rate_hz,
+        duration_s=tally.duration_s,
+        estimator=config.estimator.name,
+        raw_variance_V2=tally.raw.variance,
+        estimate_variance_V2=tally.estimate.variance,
+    )
+
+
+def _open_recorder(config: Config, instrument: Instrument, folder: Path) -> Recorder:
+    """Create the recording in the folder, named by the second at which it begins, and describe it."""
+    now = datetime.now(UTC)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        why = (error.strerror or str(error)).lower()
+        raise RecordingError(f"{folder}: cannot be made: {why}; choose another folder") from error
+    description = Description(
+        interval_s=instrument.interval_s,
+        session={
+            "id": str(uuid.uuid4()),
+            "start": now.isoformat(),
+            "host": socket.gethostname(),
+            "aemd": __version__,
+            "python": platform.python_version(),
+            **{name: version(name) for name in ("numpy", "numba", "pyvisa", "pyvisa-py", "mcap")},
+        },
+        instrument={**instrument.identity, **instrument.settings},
+        calibration={key: str(value) for key, value in asdict(config.scale).items()},
+        estimator=config.estimator.as_text(),
+        config_toml=config.text,
+    )
+    return Recorder(
+        _free_name(folder, now),
+        description,
+        flush_interval_s=config.recording.flush_interval_s,
+        chunk_bytes=config.recording.chunk_bytes,
+        compression=config.recording.compression,
+        durability=config.recording.durability,
+    )
+
+
+def _free_name(folder: Path, now: datetime) -> Path:
+    """Return the recording's path: its UTC second, and a number where a second has several."""
+    stem = now.strftime("aemd-%Y%m%dT%H%M%SZ")
+    names = (folder / f"{stem}{suffix}.mcap" for suffix in ("", *(f"-{number}" for number in range(2, 1000))))
+    return next(path for path in names if not path.exists() and not path.with_name(path.name + ".active").exists())
