@@ -60,8 +60,8 @@ class DeviceClock:
     """
 
     def __init__(self, interval_s: float, sample_delay_s: float = 0.0, epoch_readings: int = 0) -> None:
+        self.interval_ns = interval_s * 1e9
         self.restarts = 0
-        self._interval_ns = interval_s * 1e9
         self._delay_ns = sample_delay_s * 1e9
         self._epoch_readings = epoch_readings
         self._rate_bound = RATE_BOUND
@@ -106,7 +106,7 @@ class DeviceClock:
         earliest_ns = self._since_ns(now, count, asked_ns)
         latest_ns = inf
         if count > first:
-            latest_ns = self._since_ns(now, count - 1, answered_ns) + self._fastest * self._interval_ns
+            latest_ns = self._since_ns(now, count - 1, answered_ns) + self._fastest * self.interval_ns
         now.earliest_ns = max(now.earliest_ns, earliest_ns)
         now.latest_ns = min(now.latest_ns, latest_ns)
         self._narrow_rate(now)
@@ -138,29 +138,29 @@ class DeviceClock:
         now = self._now
         if now is None:
             return 0, 0
-        latest_ns = now.latest_ns if now.latest_ns < inf else now.earliest_ns + self._interval_ns
+        latest_ns = now.latest_ns if now.latest_ns < inf else now.earliest_ns + self.interval_ns
         since_asked_ns = self._since_ns(now, now.index, asked_ns)
         since_answered_ns = self._since_ns(now, now.index, answered_ns)
         latest_ns += max(self._fastest * since_asked_ns, 0.0)
         earliest_ns = now.earliest_ns + min(self._slowest * since_answered_ns, 0.0)
-        least = now.index + 1 + floor((since_asked_ns - latest_ns) / self._interval_ns)
-        largest = now.index + 1 + floor((since_answered_ns - earliest_ns) / self._interval_ns)
+        least = now.index + 1 + floor((since_asked_ns - latest_ns) / self.interval_ns)
+        largest = now.index + 1 + floor((since_answered_ns - earliest_ns) / self.interval_ns)
         return least, largest
 
     def doubt(self, readings: int) -> None:
         """Allow for a count that may be wrong by so many readings either way, after a gap of uncertain length."""
         if self._now is not None:
-            self._now.earliest_ns -= readings * self._interval_ns
-            self._now.latest_ns += readings * self._interval_ns
+            self._now.earliest_ns -= readings * self.interval_ns
+            self._now.latest_ns += readings * self.interval_ns
             self._anchor = None
 
     def _since_ns(self, bounds: _Bounds, index: int, t_ns: int) -> float:
         """Return an instant relative to the nominal finish of a reading, in the frame of the bounds."""
-        return (t_ns - bounds.origin_ns) - (index - bounds.first_index) * self._interval_ns
+        return (t_ns - bounds.origin_ns) - (index - bounds.first_index) * self.interval_ns
 
     def _age(self, bounds: _Bounds, index: int) -> None:
         """Carry the bounds from their reading to a later one; they drift apart as the rate is uncertain."""
-        span_ns = (index - bounds.index) * self._interval_ns
+        span_ns = (index - bounds.index) * self.interval_ns
         bounds.earliest_ns += self._slowest * span_ns
         bounds.latest_ns += self._fastest * span_ns
         bounds.index = index
@@ -171,7 +171,7 @@ class DeviceClock:
     def _narrow_rate(self, now: _Bounds) -> None:
         """Hold the mean rate since the anchor against the bounds; take a better or a newer anchor."""
         anchor = self._anchor
-        span_ns = 0.0 if anchor is None else (now.index - anchor.index) * self._interval_ns
+        span_ns = 0.0 if anchor is None else (now.index - anchor.index) * self.interval_ns
         if anchor is not None and span_ns > 0:
             wander = WANDER_PER_S * span_ns * 1e-9
             self._slowest = max(self._slowest, (now.earliest_ns - anchor.latest_ns) / span_ns - wander)
@@ -181,16 +181,16 @@ class DeviceClock:
 
     def _stamp(self, bounds: _Bounds, first_index: int, count: int) -> NDArray[np.int64]:
         index = np.arange(first_index, first_index + count)
-        offset_ns = (index - bounds.first_index) * self._interval_ns
-        offset_ns += bounds.middle_ns + self.rate * (index - bounds.index) * self._interval_ns - self._delay_ns
+        offset_ns = (index - bounds.first_index) * self.interval_ns
+        offset_ns += bounds.middle_ns + self.rate * (index - bounds.index) * self.interval_ns - self._delay_ns
         stamps_ns: NDArray[np.int64] = bounds.origin_ns + np.rint(offset_ns).astype(np.int64)
         held_back_ns = 0
         if self._last_t_ns is not None:
-            soonest_ns = self._last_t_ns + max(1, ceil(CLOSEST * self._interval_ns))
+            soonest_ns = self._last_t_ns + max(1, ceil(CLOSEST * self.interval_ns))
             held_back_ns = max(0, soonest_ns - int(stamps_ns[0]))
             stamps_ns += held_back_ns
         self._last_t_ns = int(stamps_ns[-1])
-        farthest_ns = max(abs(index[0] - bounds.index), abs(index[-1] - bounds.index)) * self._interval_ns
+        farthest_ns = max(abs(index[0] - bounds.index), abs(index[-1] - bounds.index)) * self.interval_ns
         within_ns = bounds.width_ns / 2 + farthest_ns * self.rate_uncertainty + held_back_ns
         self._stamped_within_ns = max(self._stamped_within_ns, within_ns)
         return stamps_ns

@@ -1,0 +1,152 @@
+"""The books of one acquisition: each reading's number, instant and status, and what happened to the stream.
+
+A look brings readings and the count of those that were waiting. Normally the numbers simply go on. When the instrument
+says that it overwrote readings it does not say how many; the clock does: so many must have been finished by now, so
+many are here, the difference is lost. The count is taken once more after some were taken out, because a memory that
+is full may lose readings between its count and the taking; one with room does not.
+"""
+
+import numpy as np
+
+from aemd.acquire.clock import DeviceClock
+from aemd.acquire.instrument import Drain
+from aemd.block import READING, Block, Event, Status
+
+__all__ = ["Ledger"]
+
+NEARLY_FULL = 0.99  # of the memory; 50 ms at 10,000 readings/s and 50,000 of memory, longer than a look takes
+CLOCK_FIRST_NS = 1_000_000_000  # the start-up's fast looks are over by then
+CLOCK_EVERY_NS = 600_000_000_000  # often enough to see the rate follow the room's temperature
+OVERLOAD = int(Status.OVERLOAD_HIGH | Status.OVERLOAD_LOW)
+
+
+class Ledger:
+    """Turns looks into blocks and events. Instants go in as host monotonic ns and come out as UTC.
+
+    Args:
+        clock: the fit, told of every look.
+        utc_offset_ns: UTC minus host monotonic, taken once, so that setting the host's clock moves nothing.
+        epoch_readings: readings after which the instrument starts its timer anew; 0 for never.
+        memory_readings: readings that the instrument's memory holds.
+    """
+
+    def __init__(self, clock: DeviceClock, utc_offset_ns: int, epoch_readings: int, memory_readings: int) -> None:
+        self.next_index = 0
+        self.lost = 0
+        self._clock = clock
+        self._utc_offset_ns = utc_offset_ns
+        self._epoch_readings = epoch_readings
+        self._memory_readings = memory_readings
+        self._overflowed = False
+        self._late = False
+        self._overloaded = False
+        self._ended: tuple[int, int] | None = None
+        self._restarts = 0
+        self._clock_event_due_ns = 0
+
+    def begin(self, asked_ns: int, answered_ns: int) -> None:
+        """Sampling began between the two instants, with nothing finished."""
+        self._clock.observe(0, asked_ns, answered_ns)
+        self._clock_event_due_ns = answered_ns + CLOCK_FIRST_NS
+
+    def end(self, asked_ns: int, answered_ns: int) -> None:
+        """Sampling ended between the two instants; looks from now on say nothing about the clock."""
+        self._ended = asked_ns, answered_ns
+
+    def needs_recount(self, drain: Drain) -> bool:
+        """Tell whether `enter` wants another look, one that takes nothing, before it numbers these readings."""
+        full = drain.waiting >= NEARLY_FULL * self._memory_readings
+        return drain.values_V.size > 0 and (drain.overflowed or self._overflowed or full)
+
+    def enter(self, drain: Drain, recount: Drain | None = None) -> tuple[Block, tuple[Event, ...]]:
+        """Number, stamp and flag the readings of one look.
+
+        Args:
+            drain: the look.
+            recount: the look after it, where `needs_recount` says so.
+        """
+        looks = (drain,) if recount is None else (drain, recount)
+        self._overflowed |= any(look.overflowed for look in looks)
+        self._late |= any(look.late for look in looks)
+        count = drain.values_V.size
+        still_waiting = looks[-1].waiting - (count if recount is None else 0)
+        lost = self._count_lost(count + still_waiting, looks[-1]) if self._overflowed and count else 0
+        first_index = self.next_index + lost
+        counted = first_index + count + still_waiting
+        if self._ended is None and looks[-1].waiting < self._memory_readings and not (self._overflowed and not count):
+            self._clock.observe(counted, looks[-1].asked_ns, looks[-1].answered_ns)
+
+        block = np.empty(count, dtype=READING)
+        block["index"] = np.arange(first_index, first_index + count)
+        block["t_ns"] = self._clock.stamp(first_index, count) + self._utc_offset_ns
+        block["value_V"] = drain.values_V
+        block["status"] = drain.status
+        events = [Event(self._utc(drain.received_ns), "instrument", text) for look in looks for text in look.messages]
+        if count:
+            events += self._gap(block, lost) + self._timing(block) + self._overload(block) + self._epoch(block)
+            self.next_index = first_index + count
+            self.lost += lost
+            self._overflowed = False
+        events += self._clock_news(drain.received_ns)
+        return block, tuple(events)
+
+    def _count_lost(self, here: int, look: Drain) -> int:
+        """Return how many readings are missing before those that are here, by the clock."""
+        asked_ns, answered_ns = self._ended or (look.asked_ns, look.answered_ns)
+        least, largest = self._clock.finished(asked_ns, answered_ns)
+        self._clock.doubt((largest - least + 1) // 2)
+        return max(1, (least + largest) // 2 - self.next_index - here)
+
+    def _gap(self, block: Block, lost: int) -> list[Event]:
+        if not lost:
+            return []
+        block["status"][0] |= Status.GAP
+        first, last = self.next_index, self.next_index + lost - 1
+        back_ns = round((block["index"][0] - first) * self._clock.interval_ns)
+        message = f"{lost} readings lost: the instrument's memory was full and overwrote them"
+        return [Event(int(block["t_ns"][0]) - back_ns, "gap", message, first, last)]
+
+    def _timing(self, block: Block) -> list[Event]:
+        if not self._late:
+            return []
+        self._late = False
+        block["status"] |= Status.TIMING
+        return [Event(int(block["t_ns"][0]), "timing", "the instrument could not keep its interval near here")]
+
+    def _overload(self, block: Block) -> list[Event]:
+        """Tell of the begin and the end of an overload; several within one block count as one."""
+        over = np.flatnonzero(block["status"] & OVERLOAD)
+        events = []
+        if over.size and not self._overloaded:
+            events.append(Event(int(block["t_ns"][over[0]]), "overload", "input beyond the range"))
+        if over.size or self._overloaded:
+            after = over[-1] + 1 if over.size else 0
+            self._overloaded = after == block.size
+            if not self._overloaded:
+                events.append(Event(int(block["t_ns"][after]), "overload", "input within the range again"))
+        return events
+
+    def _epoch(self, block: Block) -> list[Event]:
+        if not self._epoch_readings:
+            return []
+        starts = np.flatnonzero((block["index"] % self._epoch_readings == 0) & (block["index"] > 0))
+        return [Event(int(block["t_ns"][at]), "epoch", "the instrument started its timer anew") for at in starts]
+
+    def _clock_news(self, now_ns: int) -> list[Event]:
+        clock = self._clock
+        if clock.restarts > self._restarts:
+            self._restarts = clock.restarts
+            self._clock_event_due_ns = now_ns + CLOCK_FIRST_NS
+            message = "the instrument's clock and the host's ran apart faster than thought; fitted anew"
+            return [Event(self._utc(now_ns), "clock", message)]
+        if now_ns < self._clock_event_due_ns or not np.isfinite(clock.uncertainty_ns):
+            return []
+        self._clock_event_due_ns = now_ns + CLOCK_EVERY_NS
+        message = (
+            f"stamps within {clock.uncertainty_ns * 1e-6:.3f} ms;"
+            f" rate {clock.rate * 1e6:+.2f} ppm within {clock.rate_uncertainty * 1e6:.2f} ppm"
+        )
+        return [Event(self._utc(now_ns), "clock", message)]
+
+    def _utc(self, t_ns: int) -> int:
+        return t_ns + self._utc_offset_ns
