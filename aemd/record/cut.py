@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aemd.block import ESTIMATE, READING, Batch, Estimates
+from aemd.record.rows import concatenate
 from aemd.record.schema import EVENT, FILTERED, RAW, WITNESS_PREFIX
 
 __all__ = ["Messages", "Piece", "cut", "make_batch"]
@@ -83,9 +84,7 @@ def _join(pieces: list[Piece]) -> Piece:
     joined = {}
     for topic in {topic: None for piece in pieces for topic in piece}:
         parts = [piece[topic] for piece in pieces if topic in piece]
-        joined[topic] = Messages(
-            np.concatenate([part.at for part in parts]), np.concatenate([part.values for part in parts])
-        )
+        joined[topic] = Messages(concatenate([part.at for part in parts]), concatenate([part.values for part in parts]))
     return joined
 
 

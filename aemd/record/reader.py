@@ -201,10 +201,11 @@ class Recording:
             match record.opcode:
                 case Opcode.SCHEMA:
                     schema = self._parse(Schema, record)
-                    schemas[schema.id] = schema
+                    schemas.setdefault(schema.id, schema)  # the summary's is a copy
                 case Opcode.CHANNEL:
                     channel = self._parse(Channel, record)
-                    self.channels[channel.topic] = channel
+                    if channel.id not in {known.id for known in self.channels.values()}:
+                        self.channels[channel.topic] = channel
                 case Opcode.METADATA:
                     metadata = self._parse(Metadata, record)
                     self.metadata.setdefault(metadata.name, {}).update(metadata.metadata)

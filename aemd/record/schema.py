@@ -20,7 +20,7 @@ from google.protobuf.descriptor_pb2 import (
     FileDescriptorSet,
 )
 from google.protobuf.descriptor_pool import DescriptorPool
-from google.protobuf.message import Message
+from google.protobuf.message import DecodeError, Message
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
@@ -179,7 +179,11 @@ class Layout:
 
 
 def _find_message(schema_data: bytes, name: str) -> DescriptorProto | None:
-    for file in FileDescriptorSet.FromString(schema_data).file:
+    try:
+        files = FileDescriptorSet.FromString(schema_data).file
+    except DecodeError:
+        return None
+    for file in files:
         for message in file.message_type:
             if f"{file.package}.{message.name}" == name:
                 return message
@@ -195,7 +199,7 @@ def make_layout(schema_data: bytes, name: str, required: Iterable[str]) -> Layou
         required: fields that it must have; it may have more.
 
     Returns:
-        None when the type is not there, lacks a field, or has one whose width varies.
+        None when that is no descriptor, or the type is not there, lacks a field, or has one whose width varies.
 
     >>> make_layout(SCHEMA_DATA, "aemd.v1.Reading", ["value", "status"]).row.itemsize  # 31 header, 1 + 8, 1 + 4
     45

@@ -18,7 +18,7 @@ from aemd.errors import RecordingError
 from aemd.record.counts import Counts
 from aemd.record.description import Description
 from aemd.record.growing import Compression, Durability, GrowingFile
-from aemd.record.rows import EMPTY, Track, merge
+from aemd.record.rows import EMPTY, Track, concatenate, merge
 from aemd.record.schema import (
     COLUMNS,
     ENCODING,
@@ -143,7 +143,7 @@ class Recorder:
         """
         if self._file.is_open:
             self._write_chunks(to_the_last=True)
-            self._write_config()
+            self._write_config(self._log_time_ns)
             if clock:
                 self._file.append(Metadata("aemd.clock", dict(clock)))
             self._file.append(Metadata("aemd.close", {"reason": reason} | self._counts.to_text() | dict(facts or {})))
@@ -166,7 +166,7 @@ class Recorder:
         while len(self._rows.octets) >= self._chunk_bytes or (to_the_last and len(self._rows.start)):
             chunk, self._rows = self._rows.split(int(np.searchsorted(self._rows.start, self._chunk_bytes)))
             self._file.write_chunk(chunk)
-            self._write_config()
+            self._write_config(int(chunk.log_time[-1]))
 
     def _encode_waiting(self) -> None:
         """Turn what waits into rows behind those that wait already."""
@@ -190,7 +190,7 @@ class Recorder:
             self._rows = self._rows.join(rows) if len(self._rows.start) else rows
 
     def _track(self, topic: str, schema: str, arrays: list[NDArray[np.void]]) -> Track:
-        values = arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+        values = concatenate(arrays)
         rows = self._layouts[schema].make_rows(len(values), self._ids[topic])
         rows["publish_time"] = values["t_ns"]
         rows["sequence"] = values["index"] & 0xFFFFFFFF if schema != WITNESS else 0
@@ -198,11 +198,11 @@ class Recorder:
             rows[field] = values[column]
         return Track(self._ids[topic], values["t_ns"], rows)
 
-    def _write_config(self) -> None:
+    def _write_config(self, log_time_ns: int) -> None:
         if self._config_waits:
             self._config_waits = False
             text = self._description.config_toml.encode()
-            self._file.append(Attachment(0, self._log_time_ns, "config.toml", "application/toml", text))
+            self._file.append(Attachment(0, log_time_ns, "config.toml", "application/toml", text))
 
 
 def _layout(name: str) -> Layout:

@@ -1,0 +1,122 @@
+"""Background: another sink's work in a thread of its own, so that compression and the disk never delay the filter."""
+
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from queue import Empty, Full, Queue
+from typing import Protocol
+
+import numpy as np
+
+from aemd.block import ESTIMATE, READING, Batch, Estimates
+
+__all__ = ["Background"]
+
+_QUEUE_BATCHES = 256  # at 1000 batches/s a quarter of a second; a slower disk shows in `in_flight`, and then blocks
+_TICK_S = 0.25  # how often the sink may look at its clock while nothing comes: a fraction of its flush interval
+_LOOK_S = 0.1  # how often a caller that waits for a full queue looks whether the sink is still alive
+
+
+class _ClosableSink(Protocol):
+    def write(self, batch: Batch, estimates: Estimates) -> None:
+        """Take one batch."""
+
+    def close(
+        self, reason: str = ..., *, facts: Mapping[str, str] | None = ..., clock: Mapping[str, str] | None = ...
+    ) -> Path:
+        """Finish what was written."""
+
+    def discard(self) -> None:
+        """Remove what was written."""
+
+
+class Background:
+    """Runs `write` of a sink in a named thread, behind a bounded queue that blocks when it is full and never drops.
+
+    What the sink raises ends its thread, and is raised here by every later `write`, or by `close`. While nothing comes
+    the sink gets an empty batch from time to time, so that it can look at its clock.
+    """
+
+    def __init__(self, sink: _ClosableSink, *, queue_batches: int = _QUEUE_BATCHES, tick_s: float = _TICK_S) -> None:
+        """Start the thread.
+
+        Args:
+            sink: written to from that thread only, until `close`.
+            queue_batches: batches that may wait.
+            tick_s: longest time between two calls of the sink's `write`.
+        """
+        self._sink = sink
+        self._tick_s = tick_s
+        self._queue: Queue[tuple[Batch, Estimates] | None] = Queue(queue_batches)
+        self._error: BaseException | None = None
+        self._error_is_told = False
+        self._taken = 0
+        self._passed_on = 0
+        self._thread = threading.Thread(target=self._run, name=f"aemd-{type(sink).__name__.lower()}", daemon=True)
+        self._thread.start()
+
+    @property
+    def in_flight(self) -> int:
+        """Readings that were taken and are not yet with the sink."""
+        return self._taken - self._passed_on
+
+    def write(self, batch: Batch, estimates: Estimates) -> None:
+        """Hand over one batch; waits while the queue is full.
+
+        Raises:
+            RecordingError: or whatever else the sink raised.
+        """
+        self._taken += len(batch.readings)
+        while self._error is None:
+            try:
+                self._queue.put((batch, estimates), timeout=_LOOK_S)
+            except Full:
+                continue
+            return
+        self._taken -= len(batch.readings)
+        self._error_is_told = True
+        raise self._error
+
+    def close(
+        self, reason: str = "stop", *, facts: Mapping[str, str] | None = None, clock: Mapping[str, str] | None = None
+    ) -> Path:
+        """Let the sink take what waits, end the thread, and close the sink with these arguments. Twice is fine.
+
+        Raises:
+            RecordingError: or whatever else the sink raised, unless a `write` has told of it; the sink is closed all
+                the same.
+        """
+        self._end()
+        path = self._sink.close(reason, facts=facts, clock=clock)
+        if self._error is not None and not self._error_is_told:
+            self._error_is_told = True
+            raise self._error
+        return path
+
+    def discard(self) -> None:
+        """End the thread and let the sink remove what it wrote."""
+        self._end()
+        self._sink.discard()
+
+    def _end(self) -> None:
+        while self._thread.is_alive():
+            try:
+                self._queue.put(None, timeout=_LOOK_S)
+            except Full:
+                continue
+            break
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            while (item := self._next()) is not None:
+                self._sink.write(*item)
+                self._passed_on += len(item[0].readings)
+        except BaseException as error:  # noqa: BLE001 - it is raised again where someone listens
+            self._error = error
+
+    def _next(self) -> tuple[Batch, Estimates] | None:
+        try:
+            return self._queue.get(timeout=self._tick_s)
+        except Empty:
+            return Batch(np.empty(0, READING)), np.empty(0, ESTIMATE)
