@@ -12,6 +12,7 @@ What was measured of pyvisa-py 0.8 and is guarded against here:
 - Failures come as VisaIOError, OSError, ValueError or EOFError, and of opening also as a bare Exception.
 """
 
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from threading import Lock
@@ -21,6 +22,7 @@ import pyvisa
 from pyvisa.constants import StatusCode
 from pyvisa.errors import VisaIOError
 from pyvisa.resources import MessageBasedResource
+from pyvisa.rname import ResourceName
 
 from aemd.errors import InstrumentError
 
@@ -107,6 +109,7 @@ class _VisaLink:
         timeout_ms = max(1, round(timeout_s * 1000))
         manager = _manager.enter()
         try:
+            _find_host(resource)
             session = cast("MessageBasedResource", manager.open_resource(resource, open_timeout=timeout_ms))
         except Exception as error:  # pyvisa-py raises a bare Exception when it cannot connect
             _manager.leave()
@@ -160,6 +163,13 @@ class _VisaLink:
             raise InstrumentError(
                 f"{self.resource}: {command}: {what}; check that the instrument is on, the cable and the address"
             ) from error
+
+
+def _find_host(resource: str) -> None:
+    """Look the resource's host up, if it has one: pyvisa-py leaves a socket open when it cannot find it."""
+    host = getattr(ResourceName.from_string(resource), "host_address", None)
+    if host is not None:
+        socket.getaddrinfo(host, None)
 
 
 def _read_block(session: MessageBasedResource) -> bytes:

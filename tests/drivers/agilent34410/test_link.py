@@ -1,0 +1,99 @@
+import re
+import time
+
+import pytest
+from agilent34410.link import Link, open_link
+
+from aemd.errors import InstrumentError
+from tests.drivers.agilent34410.bench import served, stranger, unused_resource
+
+
+def opened(resource: str) -> Link:
+    return open_link(resource, timeout_s=0.3)
+
+
+def test_a_line_and_a_block_come_back_whole_with_every_byte_value() -> None:
+    content = bytes(range(256)) * 313
+    with stranger(lambda line: b"#%d%d%s\n" % (len(str(len(content))), len(content), content)) as resource:
+        link = opened(resource)
+
+        assert link.query_block("R?") == content
+        link.close()
+
+
+def test_an_empty_block_leaves_the_line_in_step() -> None:
+    with stranger(lambda line: b"#10\n" if line == b"R?" else b"later\n") as resource:
+        link = opened(resource)
+
+        assert link.query_block("R?") == b""
+        assert link.query("*IDN?") == "later"
+        link.close()
+
+
+@pytest.mark.parametrize(
+    ("answer", "what"),
+    [
+        (b"", "no whole answer within 0.3 s"),
+        (b"#3100half of it", "no whole answer within 0.3 s"),
+        (b"garbage\n", "the answer begins with b'ga' instead of a block's #"),
+        (b"#0\n", "the answer begins with b'#0' instead of a block's #"),
+        (b"#3x00\n", "invalid literal"),
+    ],
+)
+def test_a_block_that_is_not_whole_is_one_clear_error_within_the_timeout(answer: bytes, what: str) -> None:
+    with stranger(lambda line: answer) as resource:
+        link = opened(resource)
+        begun = time.monotonic()
+
+        with pytest.raises(InstrumentError, match=re.escape(what)) as caught:
+            link.query_block("R? 100")
+        assert str(caught.value).startswith(f"{resource}: R? 100: ")
+        assert "\n" not in str(caught.value)
+        assert time.monotonic() - begun < 1.0
+
+
+def test_a_refused_port_is_found_out_by_the_first_question() -> None:
+    resource = unused_resource()
+    link = opened(resource)
+
+    with pytest.raises(
+        InstrumentError, match=rf"^{re.escape(resource)}: \*IDN\?: .*refused.*check that the instrument"
+    ):
+        link.query("*IDN?")
+
+
+def test_a_peer_that_hangs_up_is_an_error_within_the_timeout() -> None:
+    with stranger(lambda line: None) as resource:
+        link = opened(resource)
+
+        with pytest.raises(InstrumentError, match="no whole answer"):
+            link.query("*IDN?")
+
+
+def test_a_link_that_failed_is_not_used_again_so_that_no_late_answer_is_taken_for_another() -> None:
+    with stranger(lambda line: b"") as resource:
+        link = opened(resource)
+        with pytest.raises(InstrumentError):
+            link.query("*IDN?")
+
+        with pytest.raises(InstrumentError, match="the link is closed; open it again"):
+            link.query("*IDN?")
+        link.close()
+
+
+@pytest.mark.parametrize(
+    "resource", ["", "nonsense", "TCPIP0::127.0.0.1::SOCKET", "TCPIP0::no.such.host.invalid::1::SOCKET"]
+)
+def test_a_malformed_or_unknown_address_is_refused_with_an_example_of_a_right_one(resource: str) -> None:
+    with pytest.raises(InstrumentError, match=r"cannot open: .*TCPIP0::192\.168\.1\.5::5025::SOCKET"):
+        opened(resource).query("*IDN?")
+
+
+def test_closing_one_link_leaves_another_open() -> None:
+    with served() as (resource, _):
+        one, other = opened(resource), opened(resource)
+        one.close()
+        one.close()
+
+        assert "34410A" in other.query("*IDN?")
+        other.close()
