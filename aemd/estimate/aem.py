@@ -54,8 +54,8 @@ class Aem:
 
     For each reading: fit a curve to the last ones, take the window from how far its slopes spread (eq. 17), start from
     the estimate before the window, and take in turn the filter (E step) and the mean of what it leaves (M step, eq. 15)
-    until the stop rule holds. Input and disturbance cannot be told apart within one window; only the start and the early
-    stop keep them apart. With `delta` at 0.01 one or two passes are usual, and AEM is nearly a Kalman filter.
+    until the stop rule holds. Input and disturbance cannot be told apart within one window; only the start and the
+    early stop keep them apart. With `delta` at 0.01 the first pass is mostly the last, and AEM nearly a Kalman filter.
 
     value_V, sigma_V  the filter's at the window's last reading, the disturbance taken as known: sigma is a lower bound
     log_likelihood    of the reading about phi x + u with the last estimate and disturbance, variance phi^2 P + Q + R

@@ -58,8 +58,8 @@ def state_model(options: StateOptions, interval_s: float) -> kernels.StateModel:
 
 
 def rows_for(block: Block) -> Estimates:
-    """Return rows for the estimates of a block, number and instant filled in."""
-    estimates = np.empty(block.size, dtype=ESTIMATE)
+    """Return rows for the estimates of a block: number and instant filled in, the rest 0."""
+    estimates = np.zeros(block.size, dtype=ESTIMATE)
     estimates["index"] = block["index"]
     estimates["t_ns"] = block["t_ns"]
     return estimates

@@ -11,7 +11,8 @@ Letters, as in the paper (Shen et al., Micromachines 10(5), 294, 2019):
     Q, R  variances of process and reading, V^2                          m, n  mean and readings that lack
 """
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numba import njit
@@ -23,10 +24,11 @@ __all__ = ["AemRule", "AemState", "StateModel", "run_aem", "run_kalman", "start_
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Record: TypeAlias = Any  # one element of a structured array, fields as attributes: numba's, numpy has no type for it
 
 START_UP, COASTED, RESTARTED = int(Status.START_UP), int(Status.COASTED), int(Status.RESTARTED)
 NO_VALUE = NOT_A_VALUE
-LOG_2PI = float(np.log(2.0 * np.pi))
+LOG_2PI = math.log(2.0 * math.pi)
 
 NEVER = -(2**62)
 """Stands for a reading's number, or a count of readings since something, where there has been none."""
@@ -35,13 +37,15 @@ NOW = np.dtype(
     [
         ("index", "<i8"),  # of the last reading, NEVER before the first
         ("hole", "<i8"),  # readings without a value since the last one with; NEVER before the first with one
-        ("run", "<i8"),  # usable readings in a row, up to this one
-        ("blind", "<i8"),  # readings since the last that the state has taken in
-        ("windowed", "<i8"),  # 1 once a window was used since the last start
-        ("slot", "<i8"),  # of the last reading in the rings below
+        ("run", "<i8"),  # usable readings in a row, up to the last one
+        ("blind", "<i8"),  # readings since the last that the estimate has taken in
+        ("windowed", "<i8"),  # 1 while estimates come from windows, or coast after one
+        ("slot", "<i8"),  # of the next reading in the rings of AemState
         ("x", "<f8"),
         ("P", "<f8"),
         ("u", "<f8"),
+        ("S", "<f8"),  # variance of a prediction, and its logarithm: the same for many readings
+        ("log_S", "<f8"),
     ]
 )
 """What is carried from reading to reading."""
@@ -81,59 +85,86 @@ def start_kalman(model: StateModel) -> NDArray[np.void]:
     now = np.zeros(1, dtype=NOW)
     now["index"] = now["hole"] = NEVER
     now["P"] = model.prior_P
+    now["S"] = 1.0
     return now
 
 
 @njit(cache=True, nogil=True)
-def run_kalman(
-    now: NDArray[np.void], model: StateModel, index: Ints, z: Floats, status: NDArray[np.uint32], out: NDArray[np.void]
-) -> None:
-    """Filter readings; `now` becomes the state after the last, `out` (array of ESTIMATE) gets one row for each.
+def forget(now: Record, model: StateModel) -> None:
+    """Return to the prior."""
+    now.x, now.P, now.u = 0.0, model.prior_P, 0.0
+    now.run = now.windowed = 0
 
-    m = phi x,  S = phi^2 P + Q + R,  K = (S - R) / S,  x = m + K (z - m),  P = K R
+
+@njit(cache=True, nogil=True)
+def meet(now: Record, model: StateModel, index: int, z: float, status: int) -> tuple[int, bool, float, float]:
+    """Bring the state up to just before a reading, across those that lack.
+
+    Returns:
+        The reading's status with ours; whether its value is to be used; mean and variance of its prediction without u.
     """
-    state = now[0]
-    last, hole, x, P = state.index, state.hole, state.x, state.P
-    S_of_log, log_S = 0.0, 0.0
-    for i in range(z.size):
-        flags = status[i]
-        missing = index[i] - last - 1 if last != NEVER else 0
-        if missing < 0:  # another acquisition: nothing is known of what lies between
-            x, P, hole = 0.0, model.prior_P, NEVER
-            flags |= RESTARTED
-        elif missing > 0:
-            x, P = predict(x, P, missing, model)
-            hole += missing
-        last = index[i]
+    flags = status
+    has_value = flags & NO_VALUE == 0
+    missing = index - now.index - 1 if now.index != NEVER else 0
+    now.index = index
+    if missing < 0:  # another acquisition: nothing is known of what lies between
+        forget(now, model)
+        now.hole = NEVER
+        flags |= RESTARTED
+    elif missing > 0:
+        now.x, now.P = predict(now.x, now.P, missing, model)
+        now.run = 0
+        now.hole += missing
+        now.blind += missing
+    if has_value and now.hole > model.restart_after and within_gate(z, model.prior_P, model):
+        forget(now, model)
+        flags |= RESTARTED
+    m, M = predict(now.x, now.P, 1, model)
+    usable = has_value and within_gate(z - m - now.u, M + model.R, model)
+    if usable:
+        now.run += 1
+        now.hole = 0
+    else:
+        now.run = 0
+        now.hole += 1
+    return flags, usable, m, M
 
-        m, M = model.phi * x, model.phi * model.phi * P + model.Q
-        usable = flags & NO_VALUE == 0 and within_gate(z[i] - m, M + model.R, model)
-        if flags & NO_VALUE == 0 and hole > model.restart_after:
-            usable = within_gate(z[i], model.prior_P + model.R, model)
-            if usable:
-                m, M = predict(0.0, model.prior_P, 1, model)
-                flags |= RESTARTED
+
+@njit(cache=True, nogil=True)
+def log_density(now: Record, error: float, S: float) -> float:
+    """Return the logarithm of the normal density of variance S at this error; its logarithm is kept while S lasts."""
+    if now.S != S:
+        now.S, now.log_S = S, math.log(S)
+    log_S: float = now.log_S
+    return -0.5 * (LOG_2PI + log_S + error * error / S)
+
+
+@njit(cache=True, nogil=True)
+def run_kalman(
+    state: NDArray[np.void],
+    model: StateModel,
+    index: Ints,
+    z: Floats,
+    status: NDArray[np.uint32],
+    out: NDArray[np.void],
+) -> None:
+    """Filter readings; `state` becomes that after the last, `out` (zeroed array of ESTIMATE) gets one row for each.
+
+    m = phi x,  M = phi^2 P + Q,  K = M / (M + R),  x = m + K (z - m),  P = K R
+    """
+    now = state[0]
+    for i in range(z.size):
+        flags, usable, m, M = meet(now, model, index[i], z[i], status[i])
         if usable:
-            S = M + model.R
-            if S_of_log != S:
-                S_of_log, log_S = S, np.log(S)
-            innovation = z[i] - m
-            K = M / S
-            x, P, hole = m + K * innovation, K * model.R, 0
-            out[i].log_likelihood = -0.5 * (LOG_2PI + log_S + innovation * innovation / S)
+            out[i].log_likelihood = log_density(now, z[i] - m, M + model.R)
+            K = M / (M + model.R)
+            now.x, now.P = m + K * (z[i] - m), K * model.R
         else:
-            x, P = m, M
-            hole += 1
+            now.x, now.P = m, M
             flags |= COASTED
-            out[i].log_likelihood = 0.0
-        out[i].value_V = x
-        out[i].sigma_V = np.sqrt(P)
-        out[i].u_V = 0.0
-        out[i].window = 0
-        out[i].passes = 0
-        out[i].spread = 0.0
+        out[i].value_V = now.x
+        out[i].sigma_V = math.sqrt(now.P)
         out[i].status = flags
-    state.index, state.hole, state.x, state.P = last, hole, x, P
 
 
 class AemRule(NamedTuple):
@@ -195,7 +226,7 @@ def start_aem(model: StateModel, rule: AemRule) -> AemState:
     return state
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")  # a call would count references of all its arrays: twice the time
 def slope_spread(z: Floats, rule: AemRule, scratch: Floats) -> float:
     """Return the largest less the smallest slope between neighbours on the curve fitted to readings z, in slope units.
 
@@ -213,9 +244,9 @@ def slope_spread(z: Floats, rule: AemRule, scratch: Floats) -> float:
         slope = 0.0
         for j in range(rule.curve.shape[0]):
             slope += rule.slopes[i, j] * scratch[j]
-        low, high = min(low, slope), max(high, slope)
-    spread: float = (high - low) / rule.slope_unit_V
-    return spread
+        low = min(low, slope)
+        high = max(high, slope)
+    return (high - low) / rule.slope_unit_V
 
 
 @njit(cache=True, nogil=True)
@@ -226,7 +257,7 @@ def likelihood_constant(v: int, variance_terms: float, model: StateModel, rule: 
     has v for v + 2, log Q + log R for log(Q + R), and log P0; it shifts the relative rule of eq. 16 a little, no more.
     """
     unit = rule.likelihood_unit_V * rule.likelihood_unit_V
-    printed = (1.0 + 2.0 * (v + 2.0)) * LOG_2PI + v * np.log((model.Q + model.R) / unit)
+    printed = (1.0 + 2.0 * (v + 2.0)) * LOG_2PI + v * math.log((model.Q + model.R) / unit)
     return -0.5 * (printed + variance_terms)
 
 
@@ -355,11 +386,30 @@ def stopping_pass(
             increment = (new - u) * (q1 + q2 * (new + u))
             stop = abs(increment) < rule.delta * abs(q0 + new * (q1 + q2 * new))
         else:
-            stop = abs(new - u) < rule.delta * np.sqrt(R / v)
+            stop = abs(new - u) < rule.delta * math.sqrt(R / v)
         u = new
         if stop:
             return u, r
     return a + rho * u, rule.r_max
+
+
+@njit(cache=True, nogil=True, inline="always")  # a call would count references of all its arrays: twice the time
+def maximise(state: AemState, model: StateModel, rule: AemRule, j: int, end: int) -> tuple[float, float, float, int]:
+    """Return x, P, u and passes of the window of length number j that ends before place `end` of the rings."""
+    v = rule.windows[j]
+    z, x0 = state.z[end - v : end], state.x[end - v]
+    P0 = state.P[end - v] if rule.stored_prior else model.Q
+    table, total = state.table[j], state.total[j]
+    if rule.smoothed:
+        if total[0] != P0:
+            tabulate_smoother(P0, v, model, rule, table, total, state.scratch)
+        a, q1, squares, x = smooth_window(x0, z, model, table, total, state.scratch)
+    else:
+        if total[0] != P0:
+            tabulate_filter(P0, v, model, rule, table, total)
+        a, q1, squares, x = filter_window(x0, z, model.phi, table)
+    u, passes = stopping_pass(a, total[3], total[5] + squares, q1, total[4], v, model.R, rule)
+    return x + total[2] * u, total[1], u, passes
 
 
 @njit(cache=True, nogil=True)
@@ -372,104 +422,44 @@ def run_aem(
     status: NDArray[np.uint32],
     out: NDArray[np.void],
 ) -> None:
-    """Estimate; `state` becomes that after the last reading, `out` (array of ESTIMATE) gets one row for each.
+    """Estimate; `state` becomes that after the last reading, `out` (zeroed array of ESTIMATE) gets one row for each.
 
-    A window's passes start from the estimate stored v readings earlier, so a window needs v readings without a hole
-    (and the fitted curve its history). Until then the Kalman filter stands in: START_UP. After a hole the estimator
-    coasts until a window is whole again, but not for more than `restart_after` readings.
+    A window starts from the estimate before its first reading, so it needs v readings without a hole (and the fitted
+    curve its history). Until then the Kalman filter stands in: START_UP. After a hole the estimator coasts until a
+    window is whole again, but not for more than `restart_after` readings.
     """
     now = state.now[0]
     slots, history = state.z.size // 2, rule.curve.shape[1]
-    S_of_log, log_S = 0.0, 0.0
     for i in range(z.size):
-        flags, u = status[i], now.u
-        missing = index[i] - now.index - 1 if now.index != NEVER else 0
-        now.index = index[i]
-        p = now.slot
-        if missing < 0:  # another acquisition: nothing is known of what lies between
-            now.x, now.P, now.u, now.run, now.hole, now.windowed, u = 0.0, model.prior_P, 0.0, 0, NEVER, 0, 0.0
-            flags |= RESTARTED
-        elif missing > 0:
-            now.x, now.P = predict(now.x, now.P, missing, model)
-            now.run = 0
-            now.hole += missing
-            now.blind += missing
-        if missing != 0:
-            state.x[p] = state.x[p + slots] = now.x
-            state.P[p] = state.P[p + slots] = now.P
-
-        m, M = model.phi * now.x, model.phi * model.phi * now.P + model.Q
-        usable = flags & NO_VALUE == 0 and within_gate(z[i] - m - u, M + model.R, model)
-        if flags & NO_VALUE == 0 and now.hole > model.restart_after:
-            usable = within_gate(z[i], model.prior_P + model.R, model)
-            if usable:
-                state.x[p] = state.x[p + slots] = 0.0
-                state.P[p] = state.P[p + slots] = model.prior_P
-                m, M = predict(0.0, model.prior_P, 1, model)
-                u, now.run, now.windowed = 0.0, 0, 0
-                flags |= RESTARTED
-
-        p = p + 1 if p + 1 < slots else 0
-        now.slot = p
-        window, passes, spread, log_likelihood = 0, 0, 0.0, 0.0
-        taken = False
+        flags, usable, m, M = meet(now, model, index[i], z[i], status[i])
+        p, end = now.slot, now.slot + slots + 1
+        now.slot = p + 1 if p + 1 < slots else 0
+        state.x[p] = state.x[p + slots] = now.x
+        state.P[p] = state.P[p + slots] = now.P
         if usable:
-            S = M + model.R
-            if S_of_log != S:
-                S_of_log, log_S = S, np.log(S)
-            innovation = z[i] - m - u
-            log_likelihood = -0.5 * (LOG_2PI + log_S + innovation * innovation / S)
             state.z[p] = state.z[p + slots] = z[i]
-            now.run += 1
-            now.hole = 0
-            end = p + slots + 1
-            j = 0
-            if now.run >= history and history > 0:
-                spread = slope_spread(state.z[end - history : end], rule, state.scratch)
-                while j < rule.thresholds.size and spread > rule.thresholds[j]:
-                    j += 1
-            v = rule.windows[j]
-            if now.run >= max(v, history):
-                window = v
-                x0 = state.x[end - 1 - v]
-                P0 = state.P[end - 1 - v] if rule.stored_prior else model.Q
-                table, total = state.table[j], state.total[j]
-                if rule.smoothed:
-                    if total[0] != P0:
-                        tabulate_smoother(P0, v, model, rule, table, total, state.scratch)
-                    a, q1, q0, x = smooth_window(x0, state.z[end - v : end], model, table, total, state.scratch)
-                else:
-                    if total[0] != P0:
-                        tabulate_filter(P0, v, model, rule, table, total)
-                    a, q1, q0, x = filter_window(x0, state.z[end - v : end], model.phi, table)
-                u, passes = stopping_pass(a, total[3], total[5] + q0, q1, total[4], v, model.R, rule)
-                now.x, now.P = x + total[2] * u, total[1]
-                now.windowed = 1
-                taken = True
-            elif not (rule.coast and now.windowed == 1 and now.blind < model.restart_after):
-                K = M / S
-                u = 0.0
-                now.x, now.P = m + K * (z[i] - m), K * model.R
-                now.windowed = 0
-                flags |= START_UP
-                taken = True
-        else:
-            now.run = 0
-            now.hole += 1
-        if taken:
-            now.blind = 0
+            out[i].log_likelihood = log_density(now, z[i] - m - now.u, M + model.R)
+
+        j = 0
+        if usable and 0 < history <= now.run:
+            spread = slope_spread(state.z[end - history : end], rule, state.scratch)
+            while j < rule.thresholds.size and spread > rule.thresholds[j]:
+                j += 1
+            out[i].spread = spread
+        if usable and now.run >= max(rule.windows[j], history):
+            now.x, now.P, now.u, out[i].passes = maximise(state, model, rule, j, end)
+            out[i].window = rule.windows[j]
+            now.blind, now.windowed = 0, 1
+        elif usable and not (rule.coast and now.windowed == 1 and now.blind < model.restart_after):
+            K = M / (M + model.R)
+            now.x, now.P, now.u = m + K * (z[i] - m), K * model.R, 0.0
+            now.blind = now.windowed = 0
+            flags |= START_UP
         else:
             now.x, now.P = m, M
             now.blind += 1
             flags |= COASTED
-        now.u = u
-        state.x[p] = state.x[p + slots] = now.x
-        state.P[p] = state.P[p + slots] = now.P
         out[i].value_V = now.x
-        out[i].sigma_V = np.sqrt(now.P)
-        out[i].u_V = u
-        out[i].window = window
-        out[i].passes = passes
-        out[i].spread = spread
-        out[i].log_likelihood = log_likelihood
+        out[i].sigma_V = math.sqrt(now.P)
+        out[i].u_V = now.u
         out[i].status = flags

@@ -1,7 +1,7 @@
 """What every estimator of this package can be told: the state model, its noise, and what to do where readings lack.
 
 An options class is a frozen dataclass whose bounds stand beside the fields, so that a config reader, a help text and
-the check below read the same ones. Options carry no sampling interval: that is the meter's, and comes with the readings.
+the check below read the same ones. Options carry no sampling interval: that is the meter's.
 """
 
 import math

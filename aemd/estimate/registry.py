@@ -8,7 +8,9 @@ from typing import Any
 from aemd.errors import ConfigError
 from aemd.estimate.aem import Aem, AemOptions
 from aemd.estimate.kalman import Kalman, KalmanOptions
+from aemd.estimate.lms import Lms, LmsOptions
 from aemd.estimate.protocol import Estimator
+from aemd.estimate.reference import Filterpy
 from aemd.estimate.rem import Rem, RemOptions
 
 __all__ = ["ESTIMATORS", "make_estimator", "options_of"]
@@ -17,6 +19,8 @@ ESTIMATORS: dict[str, tuple[type[Any], type[Any]]] = {
     "aem": (AemOptions, Aem),
     "rem": (RemOptions, Rem),
     "kalman": (KalmanOptions, Kalman),
+    "lms": (LmsOptions, Lms),
+    "filterpy": (KalmanOptions, Filterpy),
 }
 """Name -> its options (a frozen dataclass) and its class, made from options and the interval in seconds."""
 
