@@ -1,5 +1,7 @@
 """How the meter writes numbers, readings and blocks."""
 
+from math import copysign, isinf
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +16,7 @@ def format_number(value: float) -> str:
     >>> format_number(0.066668), format_number(float("inf"))
     ('+6.66680000E-02', '+9.90000000E+37')
     """
-    return f"{min(max(value, -9.9e37), 9.9e37):+.8E}"
+    return f"{copysign(9.9e37, value) if isinf(value) else value:+.8E}"
 
 
 def format_block(content: bytes) -> bytes:

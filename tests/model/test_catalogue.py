@@ -80,6 +80,11 @@ def test_white_noise_averages_out_with_the_root_of_the_aperture(aperture_s):
     assert readings.std() == pytest.approx(1e-3 / sqrt(2 * aperture_s), rel=5 / sqrt(2 * 50_000))
 
 
+def test_white_noise_is_made_from_the_scatter_of_readings():
+    assert WhiteNoise.from_sd(sd_V=1e-4, aperture_s=0.02).sd(0.02) == pytest.approx(1e-4)
+    assert WhiteNoise.from_sd(sd_V=1e-4, aperture_s=0.02).sd(0.08) == pytest.approx(0.5e-4)
+
+
 def validate(table):
     return TypeAdapter(tuple[Model], config=ConfigDict(extra="forbid")).validate_python([table])[0]
 
