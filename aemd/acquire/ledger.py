@@ -70,7 +70,7 @@ class Ledger:
         self._late |= any(look.late for look in looks)
         count = drain.values_V.size
         still_waiting = looks[-1].waiting - (count if recount is None else 0)
-        lost = self._count_lost(count + still_waiting, looks[-1]) if self._overflowed and count else 0
+        lost, doubt = self._count_lost(count + still_waiting, looks[-1]) if self._overflowed and count else (0, 0)
         first_index = self.next_index + lost
         counted = first_index + count + still_waiting
         if self._ended is None and looks[-1].waiting < self._memory_readings and not (self._overflowed and not count):
@@ -83,34 +83,36 @@ class Ledger:
         block["status"] = drain.status
         events = [Event(self._utc(drain.received_ns), "instrument", text) for look in looks for text in look.messages]
         if count:
-            events += self._gap(block, lost) + self._timing(block) + self._overload(block) + self._epoch(block)
+            events += self._gap(block, lost, doubt) + self._timing(block) + self._overload(block) + self._epoch(block)
             self.next_index = first_index + count
             self.lost += lost
             self._overflowed = False
         events += self._clock_news(drain.received_ns)
         return block, tuple(events)
 
-    def _count_lost(self, here: int, look: Drain) -> int:
-        """Return how many readings are missing before those that are here, by the clock."""
+    def _count_lost(self, here: int, look: Drain) -> tuple[int, int]:
+        """Return how many readings are missing before those that are here, by the clock, and by how many it may err."""
         asked_ns, answered_ns = self._ended or (look.asked_ns, look.answered_ns)
         least, largest = self._clock.finished(asked_ns, answered_ns)
-        self._clock.doubt((largest - least + 1) // 2)
-        return max(1, (least + largest) // 2 - self.next_index - here)
+        doubt = (largest - least + 1) // 2
+        self._clock.doubt(doubt)
+        return max(1, (least + largest) // 2 - self.next_index - here), doubt
 
-    def _gap(self, block: Block, lost: int) -> list[Event]:
+    def _gap(self, block: Block, lost: int, doubt: int) -> list[Event]:
         if not lost:
             return []
-        block["status"][0] |= Status.GAP
+        block["status"][0] |= np.uint32(Status.GAP)
         first, last = self.next_index, self.next_index + lost - 1
         back_ns = round((block["index"][0] - first) * self._clock.interval_ns)
-        message = f"{lost} readings lost: the instrument's memory was full and overwrote them"
+        within = f", give or take {doubt}" if doubt else ""
+        message = f"{lost} readings lost{within}: the instrument's memory was full and overwrote them"
         return [Event(int(block["t_ns"][0]) - back_ns, "gap", message, first, last)]
 
     def _timing(self, block: Block) -> list[Event]:
         if not self._late:
             return []
         self._late = False
-        block["status"] |= Status.TIMING
+        block["status"] |= np.uint32(Status.TIMING)
         return [Event(int(block["t_ns"][0]), "timing", "the instrument could not keep its interval near here")]
 
     def _overload(self, block: Block) -> list[Event]:
