@@ -1,0 +1,158 @@
+"""A recording becomes a table, CSV or Parquet: readings and their estimates, row by row.
+
+Witnesses stay out: they have instants of their own, and would need either further rows or values that nobody measured.
+"""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+from numpy.typing import NDArray
+
+from aemd.block import ESTIMATE, READING, Block, Estimates
+from aemd.errors import RecordingError, UsageError
+from aemd.record.reader import Recording
+from aemd.record.rows import concatenate
+from aemd.record.schema import FILTERED
+
+__all__ = ["ExportSummary", "export"]
+
+_BLOCK_READINGS = 65_536  # in memory at a time, and in a row group of a Parquet file
+_MOST_LAG = 1 << 20  # readings that wait for their estimate; beyond it there will be none
+
+
+@dataclass(frozen=True, slots=True)
+class ExportSummary:
+    """What an export made."""
+
+    file: str
+    out: str
+    readings: int
+    estimates: int
+
+
+def export(path: Path, out: Path) -> ExportSummary:
+    """Write a recording as a table with the columns index, time_s, value_V, status, estimate_V, sigma_V, window.
+
+    `time_s` counts from 1970 (UTC). In CSV it is an exact decimal; in Parquet it is a double, which at today's date is
+    within 0.12 us of the recorded instant. Where there is no estimate its columns are empty (CSV) or null (Parquet).
+    The columns ending in _V are in the recording's unit, which is V unless the Parquet metadata says otherwise.
+
+    Args:
+        path: the recording.
+        out: the new table; its suffix, .csv or .parquet, says which.
+
+    Raises:
+        UsageError: the suffix is neither.
+        RecordingError: the recording cannot be read, or the table exists or cannot be written.
+    """
+    if out.suffix not in (".csv", ".parquet"):
+        raise UsageError(f"{out}: the name of a table must end in .csv or .parquet")
+    readings = estimates = 0
+    with Recording(path) as recording, _create(out) as file:
+        is_text = out.suffix == ".csv"
+        schema = _schema(recording, is_text=is_text)
+        with _open_table(file, schema, is_text=is_text) as table:
+            for block, place, made in _paired(recording):
+                table.write(pa.record_batch(_columns(block, place, made, is_text=is_text), schema=schema))
+                readings += len(block)
+                estimates += len(made)
+    return ExportSummary(file=str(path), out=str(out), readings=readings, estimates=estimates)
+
+
+def _schema(recording: Recording, *, is_text: bool) -> pa.Schema:
+    unit = {"unit": recording.description.unit}
+    fields = [
+        pa.field("index", pa.int64()),
+        pa.field("time_s", pa.string() if is_text else pa.float64(), metadata={"unit": "s since 1970 (UTC)"}),
+        pa.field("value_V", pa.float64(), metadata=unit),
+        pa.field("status", pa.uint32()),
+        pa.field("estimate_V", pa.float64(), metadata=unit),
+        pa.field("sigma_V", pa.float64(), metadata=unit),
+        pa.field("window", pa.uint32(), metadata={"unit": "readings"}),
+    ]
+    told = {"recording": recording.path.name, "quantity": recording.description.quantity} | unit
+    return pa.schema(fields, told | {name: json.dumps(pairs) for name, pairs in recording.metadata.items()})
+
+
+def _columns(block: Block, place: NDArray[np.intp], made: Estimates, *, is_text: bool) -> list[Any]:
+    """Return the table's columns; `place` is where in the block each estimate belongs."""
+    missing = np.ones(len(block), np.bool_)
+    missing[place] = False
+
+    def spread(name: str) -> Any:
+        column = np.zeros(len(block), made.dtype[name])
+        column[place] = made[name]
+        return pa.array(column, mask=missing)
+
+    t_ns = block["t_ns"]
+    exact = (f"{t // 10**9}.{t % 10**9:09d}" for t in t_ns.tolist())
+    return [
+        pa.array(block["index"]),
+        pa.array(exact, pa.string()) if is_text else pa.array(t_ns / 1e9),
+        pa.array(block["value_V"]),
+        pa.array(block["status"]),
+        spread("value_V"),
+        spread("sigma_V"),
+        spread("window"),
+    ]
+
+
+def _paired(recording: Recording) -> Iterator[tuple[Block, NDArray[np.intp], Estimates]]:
+    """Yield blocks of readings with their estimates, and where in the block each of these belongs."""
+    readings, estimates = np.empty(0, READING), np.empty(0, ESTIMATE)
+    lag = _MOST_LAG if FILTERED in recording.channels else 0
+    for batch, made in recording.batches_with_estimates(_BLOCK_READINGS):
+        readings, estimates = concatenate([readings, batch.readings]), concatenate([estimates, made])
+        known = int(np.searchsorted(readings["index"], estimates["index"][-1], "right")) if len(estimates) else 0
+        ready = max(known, len(readings) - lag)
+        if ready:
+            yield _pair(readings[:ready], estimates)
+            readings, estimates = readings[ready:], np.empty(0, ESTIMATE)
+    if len(readings):
+        yield _pair(readings, estimates)
+
+
+def _pair(block: Block, estimates: Estimates) -> tuple[Block, NDArray[np.intp], Estimates]:
+    place = np.searchsorted(block["index"], estimates["index"])
+    # One whose reading is not here belongs to the recording before this one.
+    here = block["index"][np.minimum(place, len(block) - 1)] == estimates["index"]
+    return block, place[here], estimates[here]
+
+
+@contextmanager
+def _create(out: Path) -> Iterator[IO[bytes]]:
+    """Create a file that is removed again if it cannot be completed."""
+    try:
+        file = out.open("xb")
+    except FileExistsError as error:
+        raise RecordingError(f"{out}: exists: a table is never overwritten; choose another name") from error
+    except OSError as error:
+        raise RecordingError(f"{out}: cannot be created: {_why(error)}") from error
+    try:
+        with file:
+            yield file
+    except OSError as error:
+        out.unlink()
+        raise RecordingError(f"{out}: cannot be written: {_why(error)}; make room") from error
+    except BaseException:
+        out.unlink()
+        raise
+
+
+def _open_table(file: IO[bytes], schema: pa.Schema, *, is_text: bool) -> Any:
+    if not is_text:
+        return pa.parquet.ParquetWriter(file, schema)
+    options = pa.csv.WriteOptions(quoting_style="none", quoting_header="none")
+    return pa.csv.CSVWriter(file, schema, write_options=options)
+
+
+def _why(error: OSError) -> str:
+    return (error.strerror or str(error)).lower()
