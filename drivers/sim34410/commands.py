@@ -9,7 +9,7 @@ from sim34410.meter import Meter
 from sim34410.noise import NPLC, RANGES_V, RESOLUTION
 from sim34410.reply import format_number, format_readings
 from sim34410.schedule import on_grid_ns
-from sim34410.scpi import SECONDS, VOLTS, Tree, parse_boolean, parse_choice, parse_number
+from sim34410.scpi import NO_UNIT, SECONDS, VOLTS, Tree, parse_boolean, parse_choice, parse_number
 from sim34410.settings import MAX_SAMPLES, Settings
 from sim34410.status import EventRegister, ScpiError
 
@@ -68,7 +68,7 @@ def _number(
     get: Callable[[Meter], float],
     set_: Callable[[Meter, float], None],
     limits: Callable[[Meter], Mapping[str, float]],
-    units: Mapping[str, float] | None = None,
+    units: Mapping[str, int] = NO_UNIT,
     show: Callable[[float], str] = format_number,
     extra: Mapping[str, float] | None = None,
     enforced_least: float | None = None,
@@ -77,7 +77,7 @@ def _number(
 
     def write(meter: Meter, parameters: tuple[str, ...]) -> None:
         bounds = limits(meter)
-        value = parse_number(parameters[0], units or {"": 1}, {**bounds, **(extra or {})})
+        value = parse_number(parameters[0], units, {**bounds, **(extra or {})})
         least = bounds["MINimum"] if enforced_least is None else enforced_least
         if value not in (extra or {}).values() and not least <= value <= bounds["MAXimum"]:
             raise ScpiError(-222)
@@ -190,9 +190,14 @@ def _measure(meter: Meter, parameters: tuple[str, ...]) -> Result:
 
 
 def _configuration(meter: Meter) -> str:
+    """Return the answer to CONFigure?, without quotation marks.
+
+    The manuals of the 34401A and the 34450A print it with them; InstrumentKit's class for the 34410A, the one client of
+    this very model that reads it, works without them only.
+    """
     settings = meter.settings
     resolution_V = settings.resolution * settings.range_V
-    return f'"VOLT {format_number(settings.range_V)},{format_number(resolution_V)}"'
+    return f"VOLT {format_number(settings.range_V)},{format_number(resolution_V)}"
 
 
 def _choose_function(_: Meter, parameters: tuple[str, ...]) -> None:
@@ -211,7 +216,7 @@ def _set_zero(meter: Meter, parameters: tuple[str, ...]) -> None:
 
 
 def _count(parameters: tuple[str, ...]) -> int:
-    value = parse_number(parameters[0], {"": 1}, {})
+    value = parse_number(parameters[0], NO_UNIT, {})
     if not 1 <= value <= MAX_SAMPLES or value != round(value):
         raise ScpiError(-222)
     return round(value)
@@ -248,7 +253,7 @@ def _last(meter: Meter) -> str:
 
 def _set_format(meter: Meter, parameters: tuple[str, ...]) -> None:
     kind = parse_choice(parameters[0], ("ASCii", "REAL"))
-    length = round(parse_number(parameters[1], {"": 1}, {})) if len(parameters) > 1 else None
+    length = round(parse_number(parameters[1], NO_UNIT, {})) if len(parameters) > 1 else None
     if kind == "REAL" and length in (None, 64, 32):
         meter.data_format = f"REAL,{length or 64}"
     elif kind == "ASC" and length in (None, 0, 8):

@@ -6,10 +6,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from aemd.block import READING, Status
 from aemd.errors import RecordingError
 from aemd.model import Truth
+from aemd.record.reader import Recording
 
-__all__ = ["Playback", "read_playback"]
+__all__ = ["BEYOND_V", "Playback", "read_playback"]
+
+BEYOND_V = 2000.0
+"""What stands for an overload: more than any range takes."""
 
 
 class Playback:
@@ -45,22 +50,42 @@ class Playback:
 
 
 def read_playback(path: Path) -> Playback:
-    """Read a CSV with the header `time,value[,...]`: seconds and volts.
+    """Read a recording of aemd's, or a CSV (by its suffix) with the header `time,value[,...]`: seconds and volts.
+
+    A reading that was an overload is played as a voltage beyond every range; one without a value is left out, so the
+    one before it holds on.
 
     Raises:
-        RecordingError: it cannot be read, or is not such a table.
+        RecordingError: it cannot be read, or it does not hold two readings with ascending times.
     """
+    time_s, value_V = _read_csv(path) if path.suffix == ".csv" else _read_recording(path)
+    if time_s.size < 2 or not np.isfinite([time_s, value_V]).all() or not (np.diff(time_s) > 0).all():
+        raise RecordingError(f"{path}: must hold at least two finite readings with ascending times")
+    return Playback(time_s, value_V)
+
+
+def _read_recording(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    with Recording(path, allow_unfinished=True) as recording:
+        blocks = [batch.readings for batch in recording.batches()]
+    readings = np.concatenate([np.empty(0, READING), *blocks])
+    status = readings["status"]
+    value_V = np.where(status & Status.OVERLOAD_HIGH, BEYOND_V, readings["value_V"])
+    value_V = np.where(status & Status.OVERLOAD_LOW, -BEYOND_V, value_V)
+    valid = status & Status.INVALID == 0
+    time_ns = readings["t_ns"][valid]
+    return (time_ns - time_ns[:1]) * 1e-9, value_V[valid]
+
+
+def _read_csv(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     try:
         with path.open(newline="") as file:
             rows = csv.reader(file)
             header = next(rows, [])
             if header[:2] != ["time", "value"]:
                 raise RecordingError(f"{path}: line 1: header is {','.join(header)!r}: must begin with time,value")
-            table = np.array([(float(row[0]), float(row[1])) for row in rows if row])
+            table = np.array([(float(row[0]), float(row[1])) for row in rows if row]).reshape(-1, 2)
     except OSError as error:
         raise RecordingError(f"{path}: {error.strerror}") from error
     except (ValueError, IndexError, csv.Error) as error:
         raise RecordingError(f"{path}: {error}: each line must be seconds,volts") from error
-    if len(table) < 2 or not np.isfinite(table).all() or not (np.diff(table[:, 0]) > 0).all():
-        raise RecordingError(f"{path}: must hold at least two finite readings with ascending times")
-    return Playback(table[:, 0], table[:, 1])
+    return table[:, 0], table[:, 1]

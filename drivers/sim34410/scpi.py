@@ -14,6 +14,7 @@ from typing import Generic, TypeVar
 from sim34410.status import ScpiError
 
 __all__ = [
+    "NO_UNIT",
     "SECONDS",
     "VOLTS",
     "Tree",
@@ -25,12 +26,14 @@ __all__ = [
     "short",
 ]
 
-SECONDS: Mapping[str, float] = {"": 1, "S": 1, "MS": 1e-3, "US": 1e-6, "NS": 1e-9, "KS": 1e3}
-VOLTS: Mapping[str, float] = {"": 1, "V": 1, "MV": 1e-3, "UV": 1e-6, "KV": 1e3}
+NO_UNIT: Mapping[str, int] = {"": 0}
+"""Suffixes that a number may carry, each with its power of ten; so for the next two."""
+SECONDS: Mapping[str, int] = {"": 0, "S": 0, "MS": -3, "US": -6, "NS": -9, "KS": 3}
+VOLTS: Mapping[str, int] = {"": 0, "V": 0, "MV": -3, "UV": -6, "KV": 3}
 
 _FOREIGN = re.compile(r"[^\t -~]")
 _HEADER = re.compile(r"(\*[A-Z]+|:?[A-Z][A-Z0-9_]*(?::[A-Z][A-Z0-9_]*)*)(\??)")
-_NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?)\s*([A-Z]*)")
+_NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:E([+-]?\d{1,9}))?\s*([A-Z]*)")
 _NODE = re.compile(r"\[:?[^\]]+\]|:?[^:\[\]]+")
 
 T = TypeVar("T")
@@ -127,7 +130,7 @@ class Tree(Generic[T]):
         return self._entries[key]
 
 
-def parse_number(text: str, units: Mapping[str, float], named: Mapping[str, float]) -> float:
+def parse_number(text: str, units: Mapping[str, int], named: Mapping[str, float]) -> float:
     """Return a numeric parameter in its base unit; `named` holds MIN, MAX, DEF and INF where they are allowed.
 
     >>> parse_number("66.7 ms", SECONDS, {}), parse_number("minimum", SECONDS, {"MINimum": 0.5})
@@ -143,9 +146,9 @@ def parse_number(text: str, units: Mapping[str, float], named: Mapping[str, floa
     match = _NUMBER.fullmatch(upper)
     if not match:
         raise ScpiError(-104)
-    if match[2] not in units:
+    if match[3] not in units:
         raise ScpiError(-131)
-    value = float(f"{match[1]}") * units[match[2]]
+    value = float(f"{match[1]}e{int(match[2] or 0) + units[match[3]]}")  # one rounding: 66.7 ms is 0.0667 s
     if abs(value) == inf:
         raise ScpiError(-222)
     return value
@@ -171,4 +174,4 @@ def parse_boolean(text: str) -> bool:
     """
     if text.upper() in ("ON", "OFF"):
         return text.upper() == "ON"
-    return round(parse_number(text, {"": 1}, {})) != 0
+    return round(parse_number(text, NO_UNIT, {})) != 0

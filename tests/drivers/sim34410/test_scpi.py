@@ -1,7 +1,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sim34410.scpi import SECONDS, VOLTS, Tree, parse_boolean, parse_choice, parse_message, parse_number
+from sim34410.scpi import NO_UNIT, SECONDS, VOLTS, Tree, parse_boolean, parse_choice, parse_message, parse_number
 from sim34410.status import ScpiError
 
 TREE = Tree({"[SENSe:]VOLTage[:DC]:NPLCycles": "nplc", "[SENSe:]VOLTage[:DC]:RANGe[:UPPer]": "range", "*RST": "reset"})
@@ -77,12 +77,21 @@ def test_what_cannot_be_read_has_its_error_code(line, code):
     ],
 )
 def test_numbers_carry_exponents_and_units(text, units, value):
-    assert parse_number(text, units, {}) == pytest.approx(value, rel=1e-15)
+    assert parse_number(text, units, {}) == value
 
 
 @pytest.mark.parametrize(
     ("text", "code"),
-    [("5 V", -131), ("abc", -104), ("1e", -131), ("", -104), ("--1", -104), ("1e999", -222), ("1 2", -104)],
+    [
+        ("5 V", -131),
+        ("abc", -104),
+        ("1e", -131),
+        ("", -104),
+        ("--1", -104),
+        ("1e999", -222),
+        ("1e99999999999", -104),
+        ("1 2", -104),
+    ],
 )
 def test_a_number_that_is_none_has_its_error_code(text, code):
     assert code_of(parse_number, text, SECONDS, {}) == code
@@ -92,7 +101,7 @@ def test_named_values_are_taken_in_both_forms():
     named = {"MINimum": 1.0, "INFinity": 2.0}
 
     assert [parse_number(text, {}, named) for text in ("MIN", "minimum", "inf", "INFINITY")] == [1, 1, 2, 2]
-    assert code_of(parse_number, "MINI", {"": 1}, named) == -104
+    assert code_of(parse_number, "MINI", NO_UNIT, named) == -104
 
 
 def test_choices_and_switches():

@@ -78,7 +78,7 @@ def test_the_last_reading_carries_its_unit(bench):
         ("SYST:VERS?", "1994.0"),
         ("SYST:LFR?", "+50"),
         ("FUNC?", '"VOLT"'),
-        ("CONF:VOLT:DC 1,1e-6;:CONF?", '"VOLT +1.00000000E+00,+7.00000000E-07"'),
+        ("CONF:VOLT:DC 1,1e-6;:CONF?", "VOLT +1.00000000E+00,+7.00000000E-07"),
         ("CONF:VOLT 0.5;:VOLT:RANG?;RANG:AUTO?", "+1.00000000E+00;0"),
         ("VOLT:RANG 15;RANG?;RANG:AUTO?", "+1.00000000E+02;0"),
         ("VOLT:RANG:AUTO ON;:VOLT:RANG:AUTO?", "1"),
