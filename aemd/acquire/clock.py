@@ -141,8 +141,8 @@ class DeviceClock:
         latest_ns = now.latest_ns if now.latest_ns < inf else now.earliest_ns + self.interval_ns
         since_asked_ns = self._since_ns(now, now.index, asked_ns)
         since_answered_ns = self._since_ns(now, now.index, answered_ns)
-        latest_ns += max(self._fastest * since_asked_ns, 0.0)
-        earliest_ns = now.earliest_ns + min(self._slowest * since_answered_ns, 0.0)
+        latest_ns += self._fastest * since_asked_ns
+        earliest_ns = now.earliest_ns + self._slowest * since_answered_ns
         least = now.index + 1 + floor((since_asked_ns - latest_ns) / self.interval_ns)
         largest = now.index + 1 + floor((since_answered_ns - earliest_ns) / self.interval_ns)
         return least, largest

@@ -94,9 +94,12 @@ class Ledger:
         """Return how many readings are missing before those that are here, by the clock, and by how many it may err."""
         asked_ns, answered_ns = self._ended or (look.asked_ns, look.answered_ns)
         least, largest = self._clock.finished(asked_ns, answered_ns)
+        finished = (least + largest) // 2
         doubt = (largest - least + 1) // 2
+        if self._epoch_readings:  # each new epoch within the gap began an unknown fraction of an interval off
+            doubt += finished // self._epoch_readings - self.next_index // self._epoch_readings
         self._clock.doubt(doubt)
-        return max(1, (least + largest) // 2 - self.next_index - here), doubt
+        return max(1, finished - self.next_index - here), doubt
 
     def _gap(self, block: Block, lost: int, doubt: int) -> list[Event]:
         if not lost:
