@@ -7,7 +7,7 @@ nothing, 10,000 readings a second cost a few array operations per question, and 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from math import inf
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,6 +142,11 @@ class Meter:
             self._converter.take_zero()
         self.settings = settings
 
+    def change(self, **fields: Any) -> None:
+        """Replace these fields of the settings."""
+        self.advance()  # autorange may move the range until now
+        self.configure(replace(self.settings, **fields))
+
     def take_zero(self) -> None:
         """Measure the offset once, with the next reading, and subtract it from then on (autozero OFF or ONCE)."""
         self._converter.take_zero()
@@ -201,6 +206,12 @@ class Meter:
         self.questionable.take()
         self.operation.take()
         self.standard_event = 0
+
+    def take_standard_event(self) -> int:
+        """Return the Standard Event register and clear it (*ESR?)."""
+        self.advance()
+        event, self.standard_event = self.standard_event, 0
+        return event
 
     # -- readings ----------------------------------------------------------------------------------------------------
 

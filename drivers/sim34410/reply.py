@@ -5,7 +5,7 @@ from math import copysign, isinf
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["format_block", "format_number", "format_readings"]
+__all__ = ["format_block", "format_integer", "format_number", "format_readings"]
 
 _REAL = {("REAL,64", "NORM"): ">f8", ("REAL,64", "SWAP"): "<f8", ("REAL,32", "NORM"): ">f4", ("REAL,32", "SWAP"): "<f4"}
 
@@ -17,6 +17,15 @@ def format_number(value: float) -> str:
     ('+6.66680000E-02', '+9.90000000E+37')
     """
     return f"{copysign(9.9e37, value) if isinf(value) else value:+.8E}"
+
+
+def format_integer(value: float) -> str:
+    """Return the meter's NR1 form; infinity in the NR3 form.
+
+    >>> format_integer(215), format_integer(float("inf"))
+    ('+215', '+9.90000000E+37')
+    """
+    return format_number(value) if isinf(value) else f"{round(value):+d}"
 
 
 def format_block(content: bytes) -> bytes:

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 
-from sim34410.commands import COMMANDS, Result, Wait
+from sim34410.commands import COMMANDS
+from sim34410.forms import Result, Wait
 from sim34410.meter import Meter
 from sim34410.scpi import Unit, parse_message
 from sim34410.status import ScpiError

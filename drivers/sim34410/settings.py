@@ -1,7 +1,6 @@
 """What the meter is told, with the values after *RST, and what follows from it."""
 
 from dataclasses import dataclass, fields
-from math import inf
 
 from sim34410.noise import NPLC, RESOLUTION
 from sim34410.schedule import GRID_NS
@@ -75,8 +74,3 @@ class Settings:
     def resolution(self) -> float:
         """Resolution of the present NPLC as a fraction of the range; of an aperture, that of the default NPLC."""
         return RESOLUTION[NPLC.index(self.nplc)]
-
-    @property
-    def readings(self) -> float:
-        """Readings that an INITiate brings; inf for no end."""
-        return inf if self.trigger_count == inf else self.trigger_count * self.sample_count
