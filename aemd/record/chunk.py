@@ -115,7 +115,7 @@ def _starts_by_index(
             raise _Misplaced
         channel = int.from_bytes(body[:2], "little")
         begin = np.frombuffer(body, _INDEX, offset=_INDEX_HEAD_BYTES)["offset"].astype(np.int64)
-        if channel in starts or channel not in kinds or (np.diff(begin, prepend=-1) <= 0).any():
+        if channel in starts or channel not in kinds or (begin[1:] <= begin[:-1]).any():
             raise _Misplaced
         starts[channel] = begin
         layout = kinds[channel].layout

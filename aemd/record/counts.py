@@ -40,11 +40,12 @@ class Counts:
         block = batch.readings
         self.estimates += len(estimates)
         if len(block):
-            self.gaps += int(np.count_nonzero(np.diff(block["index"], prepend=self.next_index - 1) > 1))
+            index = block["index"]
+            self.gaps += int(index[0] > self.next_index) + int(np.count_nonzero(index[1:] - index[:-1] > 1))
             self.t0_ns = self.t0_ns if self.readings else int(block["t_ns"][0])
             self.t1_ns = int(block["t_ns"][-1])
             self.readings += len(block)
-            self.next_index = int(block["index"][-1]) + 1
+            self.next_index = int(index[-1]) + 1
         # A gap that no reading has followed yet shows in its event only.
         for event in batch.events:
             if event.last_index >= self.next_index:

@@ -320,8 +320,9 @@ class Recording:
 
 def _unwrap(sequence: NDArray[np.int64], last: int) -> NDArray[np.int64]:
     """Return the indexes whose lower 32 bits these are, each less than one turn after the one before it."""
-    steps = np.diff(sequence, prepend=last) & (_SEQUENCES - 1)
-    return last + np.cumsum(steps)
+    steps = np.empty_like(sequence)
+    steps[0], steps[1:] = sequence[0] - last, sequence[1:] - sequence[:-1]
+    return last + np.cumsum(steps & (_SEQUENCES - 1))
 
 
 def _is_ours(topic: str) -> bool:
