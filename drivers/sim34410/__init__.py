@@ -15,6 +15,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Interval
 
+from aemd.acquire.instrument import Clock
 from aemd.model import GaussMarkov, Model, Shocks, Term
 from sim34410.converter import Input
 from sim34410.meter import Meter, MeterProperties
@@ -52,8 +53,13 @@ class Options:
     """Whether the meter adds its own noise and offset drift."""
 
 
-def make_meter(options: Options) -> Meter:
+def make_meter(options: Options, clock: Clock = time.monotonic_ns, *, truth_readings: int = 0) -> Meter:
     """Return a meter that has just been switched on.
+
+    Args:
+        options: the meter and what is connected to it.
+        clock: host monotonic time, ns.
+        truth_readings: how many of the last readings' truth it keeps for `Meter.truth`.
 
     Raises:
         RecordingError: the recording cannot be read.
@@ -67,8 +73,9 @@ def make_meter(options: Options) -> Meter:
         seed=options.seed,
         clock_error_ppm=options.clock_error_ppm,
         noise=options.noise,
+        truth_readings=truth_readings,
     )
-    return Meter(source, time.monotonic_ns, properties)
+    return Meter(source, clock, properties)
 
 
 @contextmanager
@@ -77,6 +84,10 @@ def serve(options: Options, host: str, port: int) -> Iterator[str]:
 
     Returns:
         A context whose value is the VISA resource of the meter; leaving it stops the server.
+
+    Raises:
+        InstrumentError: the port is taken.
+        RecordingError: the recording to be played cannot be read.
     """
     with serve_meter(make_meter(options), host, port, time.monotonic_ns) as resource:
         yield resource

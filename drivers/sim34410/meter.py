@@ -5,7 +5,7 @@ nothing, 10,000 readings a second cost a few array operations per question, and 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any, Literal
 
@@ -17,15 +17,9 @@ from sim34410.memory import ReadingMemory
 from sim34410.schedule import Schedule
 from sim34410.settings import Settings
 from sim34410.status import ErrorQueue, EventRegister, ScpiError, standard_event_bit
+from sim34410.truth import TruthLog
 
-__all__ = ["TRUTH", "Display", "Meter", "MeterProperties"]
-
-TRUTH = np.dtype(
-    [("index", "<i8"), ("begin_ns", "<i8"), ("aperture_ns", "<i8")]
-    + [(name, "<f8") for name in ("signal_V", "internal_V", "external_V", "noise_V", "value_V")]
-)
-"""What a reading was made of: its number since INITiate, the host's instant at which its aperture began and the
-aperture's length, the input's means over it by role, and the value in the memory."""
+__all__ = ["Display", "Meter", "MeterProperties"]
 
 _CHUNK = 65_536
 """Readings made at a time, which bounds the memory that a long absence costs."""
@@ -83,9 +77,10 @@ class Meter:
         self._schedule: Schedule | None = None
         self._made = 0
         self._index = 0
+        self._late = False
         self._triggers_left = 0.0
         self._announce_completion = False
-        self._truth = np.empty(0, dtype=TRUTH)
+        self._truth = TruthLog(self.properties.truth_readings)
 
     # -- state -------------------------------------------------------------------------------------------------------
 
@@ -99,9 +94,9 @@ class Meter:
 
     @property
     def truth(self) -> NDArray[np.void]:
-        """Array of TRUTH (n,): the last readings, as many as `truth_readings` says."""
+        """Array of TRUTH (n,): of the last `truth_readings` readings. Not to be asked while the meter is served."""
         self.advance()
-        return self._truth
+        return self._truth.rows
 
     @property
     def idle_at_ns(self) -> int | None:
@@ -260,15 +255,8 @@ class Meter:
             self.questionable.happened(_VOLTAGE_OVERLOAD)
         if self.memory.append(made.value_V):
             self.questionable.happened(_MEMORY_OVERFLOW)
-        if self.properties.truth_readings:
-            rows = np.empty(last - first, dtype=TRUTH)
-            rows["index"] = self._index + np.arange(last - first)
-            rows["begin_ns"] = self._power_on_ns + np.rint(begin_ns / self._rate).astype(np.int64)
-            rows["aperture_ns"] = aperture_ns
-            rows["value_V"] = made.value_V
-            for part in fields(made.truth):
-                rows[part.name] = getattr(made.truth, part.name)
-            self._truth = np.concatenate((self._truth, rows))[-self.properties.truth_readings :]
+        begin_host_ns = self._power_on_ns + np.rint(begin_ns / self._rate).astype(np.int64)
+        self._truth.append(self._index, begin_host_ns, aperture_ns, made.truth, made.value_V)
         self._index += last - first
 
     # -- clock and status --------------------------------------------------------------------------------------------

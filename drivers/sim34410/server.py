@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Thread
 
+from aemd.errors import InstrumentError
 from sim34410.meter import Meter
 from sim34410.session import Session
 
 __all__ = ["serve_meter"]
 
 _LOG = logging.getLogger(__name__)
+MOST_PORT = 65_535
 _IDLE_S = 0.5
 """Longest pause between two looks at the meter, so that a long absence of clients does not pile up work."""
 _BACKLOG_BYTES = 1 << 22
@@ -27,8 +29,11 @@ def serve_meter(meter: Meter, host: str, port: int, clock: Callable[[], int]) ->
 
     Returns:
         A context whose value is the VISA resource; leaving it ends the thread and closes every connection.
+
+    Raises:
+        InstrumentError: the port is taken, or the host is not this machine's.
     """
-    with socket.create_server((host, port)) as listener:
+    with _listen(host, port) as listener:
         server = _Server(meter, listener, clock)
         thread = Thread(target=server.run, name="sim34410", daemon=True)
         thread.start()
@@ -38,6 +43,15 @@ def serve_meter(meter: Meter, host: str, port: int, clock: Callable[[], int]) ->
         finally:
             server.stop()
             thread.join()
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    if not 0 <= port <= MOST_PORT:
+        raise InstrumentError(f"cannot serve on {host} port {port}: must be 0 to {MOST_PORT}; 0 takes a free one")
+    try:
+        return socket.create_server((host, port))
+    except OSError as error:
+        raise InstrumentError(f"cannot serve on {host} port {port}: {error.strerror}; 0 takes a free one") from error
 
 
 class _Client:
@@ -103,7 +117,7 @@ class _Server:
 
     def _accept(self) -> None:
         try:
-            connection, _ = self._listener.accept()
+            connection, address = self._listener.accept()
         except OSError:  # the client has already gone
             return
         connection.settimeout(0)
@@ -111,6 +125,7 @@ class _Server:
         client = _Client(connection, self._meter)
         self._clients.add(client)
         self._selector.register(connection, selectors.EVENT_READ, client)
+        _LOG.info("client connected address=%s:%d", *address[:2])
 
     def _receive(self, client: _Client) -> None:
         try:
@@ -146,3 +161,4 @@ class _Server:
             self._clients.remove(client)
             self._selector.unregister(client.connection)
             client.connection.close()
+            _LOG.info("client gone clients=%d", len(self._clients))

@@ -8,6 +8,7 @@ from pyvisa.util import from_ieee_block
 from sim34410 import Meter, MeterProperties, Options, serve, serve_meter
 
 from aemd.acquire.instrument import Simulator, find_simulator
+from aemd.errors import InstrumentError
 from aemd.model import Level, Model
 
 PROTOCOL: Simulator = sim34410  # for the type checker
@@ -133,5 +134,11 @@ def test_leaving_ends_the_thread_and_the_connections():
 def test_a_busy_port_is_an_error_at_once():
     with served() as connect:
         port = connect().socket.getpeername()[1]
-        with pytest.raises(OSError, match="in use"), serve(Options(), "127.0.0.1", port):
+        with pytest.raises(InstrumentError, match=f"port {port}.*in use"), serve(Options(), "127.0.0.1", port):
             pass
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_a_port_that_is_none_is_an_error_in_one_line(port):
+    with pytest.raises(InstrumentError, match=f"port {port}"), serve(Options(), "127.0.0.1", port):
+        pass
