@@ -4,10 +4,8 @@ Exit codes: 0 done (gaps and losses are results, not failures); 1 the instrument
 found a difference; 2 usage; 78 the config file is wrong.
 """
 
-import logging
 import sys
 import threading
-import time
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -85,9 +83,9 @@ def import_table(
     json: Json = False,
 ) -> None:
     """Make a recording of a table; columns after the second become witness topics."""
-    from aemd import tables
+    from aemd.tables import import_csv
 
-    _show(tables.import_csv(file, out, unit=unit, scale=scale), "Imported", json=json)
+    _show(import_csv(file, out, unit=unit, scale=scale), "Imported", json=json)
 
 
 @app.command()
@@ -97,9 +95,9 @@ def export(
     json: Json = False,
 ) -> None:
     """Write a recording as a table: index, time_s, value_V, status, estimate_V, sigma_V, window."""
-    from aemd import tables
+    from aemd.tables import export as export_table
 
-    _show(tables.export(file, out), "Exported", json=json)
+    _show(export_table(file, out), "Exported", json=json)
 
 
 @app.command()
@@ -182,8 +180,6 @@ def options(
 
 def main() -> None:
     """Run the command line; an error that a user can meet becomes one line and its exit code."""
-    logging.Formatter.converter = time.gmtime
-    logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(asctime)sZ level=%(levelname)s %(message)s")
     try:
         app()
     except AemdError as error:

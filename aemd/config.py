@@ -237,7 +237,7 @@ def parse_options(kind: type[Options], table: Mapping[str, Any], place: str, sec
     """
     # Through JSON, because pydantic's strict mode takes a list for a tuple only there; in a tuple, because only a
     # container can be told to forbid extra keys of a plain dataclass and of those nested in it.
-    adapter: TypeAdapter[tuple[Options]] = TypeAdapter(tuple[kind], config=ConfigDict(extra="forbid"))  # type: ignore[valid-type]  # kind is a class at run time
+    adapter: TypeAdapter[tuple[Options]] = TypeAdapter(tuple[kind], config=ConfigDict(extra="forbid"))  # type: ignore[valid-type, arg-type]  # kind is a class at run time
     try:
         return adapter.validate_json(json.dumps([table], default=str), strict=True)[0]
     except ValidationError as error:

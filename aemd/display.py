@@ -22,6 +22,8 @@ __all__ = ["Progress", "advancing", "format_quantity", "showing", "sparkline"]
 BARS = "▁▂▃▄▅▆▇█"
 SPARK_READINGS = 48
 """Latest readings in the sparkline: three seconds at 15 Hz."""
+QUIET_EVENTS = ("clock", "epoch")
+"""Of the instrument's ordinary life: in the recording, not on the screen."""
 LINE_EVERY_S = 10.0
 """Between plain lines: a night of them is a log of a few thousand lines."""
 
@@ -87,7 +89,7 @@ class Progress:
             self._estimate_V = float(estimates["value_V"][-1])
             self._sigma_V = float(estimates["sigma_V"][-1])
             self._window = int(estimates["window"][-1])
-        self._events.extend(event.message for event in batch.events)
+        self._events.extend(event.message for event in batch.events if event.kind not in QUIET_EVENTS)
 
     @property
     def rate_hz(self) -> float:
@@ -132,7 +134,8 @@ class _Lines:
     def write(self, batch: Batch, estimates: Estimates) -> None:
         self._progress.write(batch, estimates)
         for event in batch.events:
-            self._print(f'event={event.kind} message="{event.message}"')
+            if event.kind not in QUIET_EVENTS:
+                self._print(f'event={event.kind} message="{event.message}"')
         if self._clock() >= self._next_ns:
             self._next_ns += int(LINE_EVERY_S * 1e9)
             self._print(self._progress.line())

@@ -47,7 +47,7 @@ def inspect(path: Path) -> Info:
             t0=found.t0_ns * 1e-9 if found.readings else None,
             t1=found.t1_ns * 1e-9 if found.readings else None,
             topics=found.topics,
-            instrument=told.instrument.get("idn", ""),
+            instrument=" ".join(told.instrument.get(key, "") for key in ("manufacturer", "model", "serial")).strip(),
             estimator=told.estimator.get("name", ""),
             unit=told.unit,
             finalised=recording.is_finished,

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from aemd.block import NOT_A_VALUE
+from aemd.block import NOT_A_VALUE, READING, Block, Estimates
 from aemd.errors import RecordingError
 from aemd.record.reader import Recording
 
@@ -16,6 +16,11 @@ __all__ = ["draw"]
 
 BINS = 2000
 """Columns of the picture: more readings than this are drawn as the least and the greatest of each column's."""
+SPANS = 500
+"""At most so many gaps are marked, and so many readings without a value."""
+TIME_UNITS = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"))
+MARKS = ("gap", "no_value")
+PREFIXES = ((1e3, "m"), (1e6, "µ"), (1e9, "n"))
 GAP_COLOUR, RAW_COLOUR, ESTIMATE_COLOUR = "tab:red", "0.65", "tab:blue"
 
 
@@ -35,9 +40,7 @@ def draw(path: Path, picture: Path) -> None:
     ratios = [4, 1] if with_estimate else [1]
     axes = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
     start_s, span_s = columns["time_s"][0], columns["time_s"][-1] - columns["time_s"][0]
-    divisor, time_unit = next(
-        pair for pair in ((86400, "d"), (3600, "h"), (60, "min"), (1, "s")) if span_s >= 3 * pair[0] or pair[0] == 1
-    )
+    divisor, time_unit = next((pair for pair in TIME_UNITS if span_s >= 3 * pair[0]), (1.0, "s"))
     time = (columns["time_s"] - start_s) / divisor
     axes[0].plot(*_envelope(time, columns["raw"] * factor), color=RAW_COLOUR, lw=0.8, label="readings")
     if with_estimate:
@@ -50,12 +53,15 @@ def draw(path: Path, picture: Path) -> None:
         axes[1].plot(*_envelope(time, columns["window"]), color="tab:green", lw=0.8, drawstyle="steps-post")
         axes[1].set_ylabel("window (readings)")
         axes[1].set_ylim(bottom=0)
-    for number, at in enumerate(time[np.flatnonzero(columns["gap"])][:200]):
-        axes[0].axvline(at, color=GAP_COLOUR, lw=0.8, ls=":", label="gap" if number == 0 else None)
+    for number, after in enumerate(np.flatnonzero(columns["gap"])[:SPANS]):
+        # Two places back is the last reading before: between them stands the break in the lines.
+        axes[0].axvspan(time[after - 2], time[after], color=GAP_COLOUR, alpha=0.15, lw=0, label=_once("lost", number))
+    for number, at in enumerate(time[np.flatnonzero(columns["no_value"])][:SPANS]):
+        axes[0].axvline(at, ymax=0.03, color=GAP_COLOUR, lw=1, label=_once("no value", number))
     axes[0].set_ylabel(f"value ({prefix}{unit})")
     axes[-1].set_xlabel(f"time since the first reading ({time_unit})")
     axes[0].set_title(path.name, loc="left", fontsize="medium")
-    axes[0].legend(loc="upper right", fontsize="small", ncols=4)
+    axes[0].legend(loc="upper right", fontsize="small", ncols=5)
     for axis in axes:
         axis.grid(visible=True, alpha=0.3)
         axis.spines[["top", "right"]].set_visible(False)
@@ -67,11 +73,11 @@ def draw(path: Path, picture: Path) -> None:
 
 def _columns(path: Path) -> tuple[dict[str, NDArray[np.float64]], str]:
     """Read what the picture needs of a recording, paired by index."""
-    parts: list[tuple[NDArray[np.void], NDArray[np.void]]] = []
+    parts: list[tuple[Block, Estimates]] = []
     with Recording(path) as recording:
         unit = recording.description.unit
         parts.extend((batch.readings, estimates) for batch, estimates in recording.batches_with_estimates())
-    readings = np.concatenate([part[0] for part in parts]) if parts else np.empty(0)
+    readings = np.concatenate([part[0] for part in parts]) if parts else np.empty(0, READING)
     if not readings.size:
         return {"time_s": np.empty(0)}, unit
     estimates = np.concatenate([part[1] for part in parts])
@@ -79,13 +85,24 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[np.float64]], str]:
     columns = {
         "time_s": (readings["t_ns"] - readings["t_ns"][0]) * 1e-9,
         "raw": value,
-        "gap": np.concatenate([[False], np.diff(readings["index"]) > 1]).astype(np.float64),
+        "gap": np.diff(readings["index"], prepend=readings["index"][0] - 1) > 1,
+        "no_value": (readings["status"] & NOT_A_VALUE) != 0,
     }
     place = np.searchsorted(readings["index"], estimates["index"])
     for name, field in (("estimate", "value_V"), ("sigma", "sigma_V"), ("window", "window")):
         columns[name] = np.full(readings.size, np.nan)
         columns[name][place] = estimates[field]
-    return columns, unit
+    # A line that ran on over a gap would show readings that nobody took.
+    breaks = np.flatnonzero(columns["gap"])
+    return {
+        name: np.insert(column, breaks, column[breaks] if name == "time_s" else 0.0 if name in MARKS else np.nan)
+        for name, column in columns.items()
+    }, unit
+
+
+def _once(label: str, number: int) -> str | None:
+    """Return the label for the first of many alike, so that the legend has it once."""
+    return label if number == 0 else None
 
 
 def _prefix(values: NDArray[np.float64], unit: str) -> tuple[float, str]:
@@ -94,7 +111,7 @@ def _prefix(values: NDArray[np.float64], unit: str) -> tuple[float, str]:
     top = float(finite.max()) if finite.size else 1.0
     if unit != "V" or top >= 1 or top == 0:
         return 1.0, ""
-    return next(pair for pair in ((1e3, "m"), (1e6, "µ"), (1e9, "n")) if top * pair[0] >= 1 or pair[1] == "n")
+    return next((pair for pair in PREFIXES if top * pair[0] >= 1), PREFIXES[-1])
 
 
 def _thin(time: NDArray[np.float64], values: NDArray[np.float64], pick: np.ufunc) -> tuple[Any, Any]:

@@ -16,7 +16,7 @@ def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
     """
 
     def handle(number: int, _frame: FrameType | None) -> None:
-        signal.signal(number, before[number])
+        signal.signal(number, before[signal.Signals(number)])
         stop()
 
     before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}

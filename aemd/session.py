@@ -117,7 +117,6 @@ def acquire(
         path = recorder.close(
             "stop" if failure is None else "failed",
             facts={"acquired": str(acquisition.counts.acquired)},
-            clock=acquisition.clock_facts,
         )
     if failure is not None:
         raise InstrumentError(f"{failure}; the {tally.counts.readings} readings before are in {path}") from failure
