@@ -92,6 +92,6 @@ def main() -> None:
     growth = settled[-1] - settled[0]
     print(f"  memory    {settled[-1]:.0f} MB, {growth:+.1f} MB since {WARM_UP_S:.0f} s")
     print(
-        f"  latency   p50 {p50:.2f} ms, p99 {p99:.2f} ms, p99.9 {p999:.2f} ms, max {max(watch.latency_ns) * 1e-6:.2f} ms"
+        f"  latency   p50 {p50:.2f} ms, p99 {p99:.2f} ms, p99.9 {p999:.2f} ms, max {max(watch.latency_ns) * 1e-6:.2f}"
     )
     print(f"  blocks    {len(watch.sizes)}, of {np.median(watch.sizes):.0f} readings in the middle")
