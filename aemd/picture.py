@@ -58,6 +58,8 @@ def draw(path: Path, picture: Path) -> None:
         axes[0].axvspan(time[after - 2], time[after], color=GAP_COLOUR, alpha=0.15, lw=0, label=_once("lost", number))
     for number, at in enumerate(time[np.flatnonzero(columns["no_value"])][:SPANS]):
         axes[0].axvline(at, ymax=0.03, color=GAP_COLOUR, lw=1, label=_once("no value", number))
+    axes[0].set_ylim(*_limits(columns["raw"] * factor, columns["estimate"] * factor, columns["sigma"] * factor))
+    axes[0].ticklabel_format(axis="y", useOffset=False)
     axes[0].set_ylabel(f"value ({prefix}{unit})")
     axes[-1].set_xlabel(f"time since the first reading ({time_unit})")
     axes[0].set_title(path.name, loc="left", fontsize="medium")
@@ -103,6 +105,20 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[np.float64]], str]:
 def _once(label: str, number: int) -> str | None:
     """Return the label for the first of many alike, so that the legend has it once."""
     return label if number == 0 else None
+
+
+def _limits(
+    raw: NDArray[np.float64], estimate: NDArray[np.float64], sigma: NDArray[np.float64]
+) -> tuple[float | None, float | None]:
+    """Return the ends of the value axis: all of readings and estimates, and of the band what does not dwarf them."""
+    values = np.concatenate([raw, estimate])
+    values = values[np.isfinite(values)]
+    span = float(np.ptp(values)) if values.size else 0.0
+    if span == 0:
+        return None, None
+    band = np.median(2 * sigma[np.isfinite(sigma)]) if np.isfinite(sigma).any() else 0.0
+    margin = 0.05 * span + min(float(band), 0.5 * span)
+    return float(values.min()) - margin, float(values.max()) + margin
 
 
 def _prefix(values: NDArray[np.float64], unit: str) -> tuple[float, str]:
