@@ -37,7 +37,7 @@ NOW = np.dtype(
     [
         ("index", "<i8"),  # of the last reading, NEVER before the first
         ("hole", "<i8"),  # readings without a value since the last one with; NEVER before the first with one
-        ("run", "<i8"),  # usable readings in a row, up to the last one
+        ("run", "<i8"),  # usable readings in a row, up to the last one, that had an estimate before them
         ("blind", "<i8"),  # readings since the last that the estimate has taken in
         ("windowed", "<i8"),  # 1 while estimates come from windows, or coast after one
         ("slot", "<i8"),  # of the next reading in the rings of AemState
@@ -93,7 +93,7 @@ def start_kalman(model: StateModel) -> NDArray[np.void]:
 def forget(now: Record, model: StateModel) -> None:
     """Return to the prior."""
     now.x, now.P, now.u = 0.0, model.prior_P, 0.0
-    now.run = now.windowed = 0
+    now.hole, now.windowed = NEVER, 0
 
 
 @njit(cache=True, nogil=True)
@@ -109,7 +109,6 @@ def meet(now: Record, model: StateModel, index: int, z: float, status: int) -> t
     now.index = index
     if missing < 0:  # another acquisition: nothing is known of what lies between
         forget(now, model)
-        now.hole = NEVER
         flags |= RESTARTED
     elif missing > 0:
         now.x, now.P = predict(now.x, now.P, missing, model)
@@ -122,7 +121,7 @@ def meet(now: Record, model: StateModel, index: int, z: float, status: int) -> t
     m, M = predict(now.x, now.P, 1, model)
     usable = has_value and within_gate(z - m - now.u, M + model.R, model)
     if usable:
-        now.run += 1
+        now.run = now.run + 1 if now.hole >= 0 else 0
         now.hole = 0
     else:
         now.run = 0
@@ -276,19 +275,19 @@ def tabulate_filter(P0: float, v: int, model: StateModel, rule: AemRule, table: 
     P, g, rho, q2, variances = P0, 0.0, 1.0, 0.0, 1.0
     for i in range(v):
         M = phi * phi * P + Q
-        K = M / (M + R)
+        K, left = M / (M + R), R / (M + R)  # left is 1 - K, without cancellation where M is large
         f = 1.0 + phi * g
-        c = K * K / Q + (1.0 - K) * (1.0 - K) / R
+        c = K * K / Q + left * left / R
         table[0, i] = K
-        table[1, i] = (1.0 - K) * phi
-        table[2, i] = (1.0 - K) / v
+        table[1, i] = left * phi
+        table[2, i] = left / v
         table[3, i] = c * f
         table[4, i] = c
-        rho -= (1.0 - K) / v * f
+        rho -= left / v * f
         q2 -= 0.5 * c * f * f
-        g = (1.0 - K) * phi * g - K
+        g = left * phi * g - K
         # E of (x_i - phi x_{i-1})^2 and (z_i - x_i - u)^2 beyond the means, with cov(x_i, x_{i-1}) = (1 - K) phi P.
-        variances += (K * R + (phi * phi - 2.0 * phi * (1.0 - K) * phi) * P) / Q + K
+        variances += (K * R + (phi * phi - 2.0 * phi * left * phi) * P) / Q + K
         P = K * R
     total[0], total[1], total[2], total[3], total[4], total[6] = P0, P, g, rho, q2, 0.0
     total[5] = likelihood_constant(v, variances, model, rule)
@@ -323,12 +322,12 @@ def tabulate_smoother(
     P, g = P0, 0.0
     for i in range(v):
         M = phi * phi * P + Q
-        K = M / (M + R)
+        K, left = M / (M + R), R / (M + R)
         table[0, i] = K
-        table[1, i] = (1.0 - K) * phi
+        table[1, i] = left * phi
         table[2, i] = phi * P / M
         scratch[i] = g
-        g = (1.0 - K) * phi * g - K
+        g = left * phi * g - K
         P = K * R
     total[0], total[1], total[2] = P0, P, g
     h, rho, q2, variances = g, 0.0, 0.0, 0.0
@@ -424,9 +423,10 @@ def run_aem(
 ) -> None:
     """Estimate; `state` becomes that after the last reading, `out` (zeroed array of ESTIMATE) gets one row for each.
 
-    A window starts from the estimate before its first reading, so it needs v readings without a hole (and the fitted
-    curve its history). Until then the Kalman filter stands in: START_UP. After a hole the estimator coasts until a
-    window is whole again, but not for more than `restart_after` readings.
+    A window needs v readings without a hole (and the fitted curve its history), and an estimate before them: from the
+    prior alone, which knows nothing, any disturbance would do, and passes would go on for ever. Until then the Kalman
+    filter stands in: START_UP. After a hole the estimator coasts until a window is whole again, but not for more than
+    `restart_after` readings.
     """
     now = state.now[0]
     slots, history = state.z.size // 2, rule.curve.shape[1]

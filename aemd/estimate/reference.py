@@ -7,6 +7,7 @@ import numpy as np
 
 from aemd.block import ESTIMATE, NOT_A_VALUE, Block, Estimates, Status
 from aemd.estimate.kalman import KalmanOptions, rows_for, state_model
+from aemd.estimate.kernels import predict
 
 __all__ = ["Filterpy"]
 
@@ -55,8 +56,10 @@ class Filterpy:
             self._forget()
             self._hole = -1
             status |= Status.RESTARTED
-        for _ in range(lost):
-            self._coast()
+        elif lost > 0:
+            x, P = predict(float(self._filter.x[0, 0]), float(self._filter.P[0, 0]), lost, self._model)
+            self._filter.x, self._filter.P = np.array([[x]]), np.array([[P]])
+            self._hole += lost if self._hole >= 0 else 0
         has_value = not status & NOT_A_VALUE
         prior_reach = self._model.gate * math.sqrt(self._model.prior_P)
         if has_value and self._hole > self._model.restart_after and abs(z) <= prior_reach:
@@ -71,10 +74,6 @@ class Filterpy:
         self._filter.update(z)
         self._hole = 0
         return status, -0.5 * (math.log(2.0 * math.pi * S) + error * error / S)
-
-    def _coast(self) -> None:
-        self._filter.predict()
-        self._hole += self._hole >= 0
 
     def _forget(self) -> None:
         self._filter.x = np.array([[0.0]])
