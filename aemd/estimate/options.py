@@ -71,8 +71,10 @@ def check_bounds(options: Any) -> None:
         if typing.get_origin(hint) is Literal and value not in typing.get_args(hint):
             raise ValueError(f"{field.name} = {value!r}: must be one of {', '.join(map(repr, typing.get_args(hint)))}")
         rules = getattr(hint, "__metadata__", ())
-        if rules and (isinstance(value, bool) or not isinstance(value, typing.get_args(hint)[0] | int)):
-            raise ValueError(f"{field.name} = {value!r}: must be a number")
+        if rules:
+            whole = typing.get_args(hint)[0] is int
+            if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
+                raise ValueError(f"{field.name} = {value!r}: must be a {'whole ' if whole else ''}number")
         for rule in rules:
             for kind, attribute, holds, words in _RULES:
                 if isinstance(rule, kind) and not holds(value, bound := getattr(rule, attribute)):
