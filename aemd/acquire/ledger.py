@@ -73,7 +73,7 @@ class Ledger:
         lost, doubt = self._count_lost(count + still_waiting, looks[-1]) if self._overflowed and count else (0, 0)
         first_index = self.next_index + lost
         counted = first_index + count + still_waiting
-        if self._ended is None and looks[-1].waiting < self._memory_readings and not (self._overflowed and not count):
+        if self._ended is None and not (self._overflowed and not count):  # else the count is too low
             self._clock.observe(counted, looks[-1].asked_ns, looks[-1].answered_ns)
 
         block = np.empty(count, dtype=READING)

@@ -78,6 +78,19 @@ def test_stamps_at_15_hz_are_within_two_milliseconds_and_within_the_claimed_unce
     assert clock.restarts == 0
 
 
+@pytest.mark.parametrize("rate", [-900e-6, 500e-6])
+def test_a_rate_beyond_what_was_assumed_is_noticed_and_then_followed(rate: float) -> None:
+    instrument = Instrument(0.0636401, rate, 3000, np.random.default_rng(4))
+    clock = DeviceClock(0.0636401, DELAY_S)
+    stamps_ns, uncertainty_ns = instrument.run(clock, poll_s=0.618 * 0.0636401)
+    errors_ns = instrument.errors_ns(stamps_ns)
+
+    assert 1 <= clock.restarts <= 3  # 200 ppm doubled thrice is more than 900 ppm
+    assert abs(clock.rate - rate) <= clock.rate_uncertainty <= 30e-6
+    assert np.abs(errors_ns[1500:]).max() <= 2_000_000
+    assert np.all(np.abs(errors_ns[1500:]) <= uncertainty_ns[1500:] + 1)
+
+
 @given(
     interval_s=st.floats(1e-4, 0.5),
     rate=st.floats(-190e-6, 190e-6),

@@ -154,6 +154,19 @@ def test_a_loss_that_is_drained_only_after_the_end_is_counted_up_to_the_end() ->
         bench.check(before)
 
 
+def test_a_memory_that_overflows_between_the_count_and_the_taking_has_its_gap_in_the_right_place() -> None:
+    with benched() as bench:
+        bench.run(0.5, poll_s=0.0101)
+        before = bench.readings.size
+        bench.clock.move(4.985)
+        bench.clock.tick_ns = 5_000_000
+        bench.look()
+        bench.clock.tick_ns = 0
+        bench.run(0.1)
+
+        bench.check_loss(before)
+
+
 def test_a_nearly_full_memory_that_lost_nothing_makes_no_gap() -> None:
     with benched() as bench:
         bench.run(0.5)

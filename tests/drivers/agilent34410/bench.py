@@ -14,17 +14,19 @@ from sim34410 import Meter, MeterProperties, serve_meter
 
 from aemd.model import Truth
 
-FAST = Options(interval_s=1e-4, aperture_s=1e-4, autozero="off", display=False)
+FAST = Options(interval_s=1e-4, aperture_s=1e-4, autozero="off", trigger_delay_s=0.0, display=False)
 """10,000 readings/s."""
 
 
 class HandClock:
-    """A clock that moves only when told to, ns."""
+    """A clock that moves only when told to, or by a tick whenever somebody looks at it, ns."""
 
     def __init__(self) -> None:
         self.now_ns = 1_000_000_000_000
+        self.tick_ns = 0
 
     def __call__(self) -> int:
+        self.now_ns += self.tick_ns
         return self.now_ns
 
     def move(self, seconds: float) -> None:

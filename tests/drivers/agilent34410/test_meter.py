@@ -146,6 +146,22 @@ def test_a_memory_that_overflowed_is_told_of_once() -> None:
         assert not second.overflowed
 
 
+def test_what_an_earlier_stream_lost_is_not_told_of_the_next() -> None:
+    with started(FAST) as (instrument, _, clock):
+        clock.move(6.0)
+        instrument.stop()
+        instrument.start()
+
+        assert not instrument.drain(1).overflowed
+
+
+def test_an_interval_that_was_not_kept_is_told_of_once() -> None:
+    with started(FAST) as (instrument, meter, _):
+        meter.questionable.happened(1 << 2)
+
+        assert [instrument.drain(1).late for _ in range(2)] == [True, False]
+
+
 def test_errors_in_the_meters_queue_are_brought_along_once_a_second() -> None:
     with started(Options()) as (instrument, meter, clock):
         instrument.drain(1)
