@@ -19,14 +19,12 @@ FAST = Options(interval_s=1e-4, aperture_s=1e-4, autozero="off", trigger_delay_s
 
 
 class HandClock:
-    """A clock that moves only when told to, or by a tick whenever somebody looks at it, ns."""
+    """A clock that moves only when told to, ns."""
 
     def __init__(self) -> None:
         self.now_ns = 1_000_000_000_000
-        self.tick_ns = 0
 
     def __call__(self) -> int:
-        self.now_ns += self.tick_ns
         return self.now_ns
 
     def move(self, seconds: float) -> None:
