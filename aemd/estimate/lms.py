@@ -30,10 +30,11 @@ class LmsOptions:
     below 2 over that power, in 1/V^2, which has to be known beforehand."""
     taps: Count = 15
     """Readings that the prediction is made from: as many as the longest window of eq. 17."""
-    step: Annotated[float, Gt(0), Le(1e12)] = 0.1
-    """Step of the weights: without unit and below 2 if normalised, in 1/V^2 if plain."""
-    least_power_V2: Annotated[float, Ge(0), Le(1e12)] = 1e-6
-    """Added to the power that a normalised step is divided by, V^2: about one reading of the paper's noise."""
+    step: Annotated[float, Gt(0), Le(1e12)] = 0.5
+    """Step of the weights: in 1/V^2 if plain; without unit if normalised, where 1 follows fastest and 2 is unstable."""
+    least_power_V2: Annotated[float, Ge(0), Le(1e12)] = 15 * 60e-3**2
+    """Added to the power that a normalised step is divided by, V^2: that of a line of the paper's largest impulses, so
+    that the first of them, met by a quiet line, does not throw the weights over. Below it steps are plain ones."""
     sigma_R_V: Positive = 0.99e-3
     """First guess of the standard deviation of the prediction's error, V: the paper's sigma_R."""
     error_memory: Count = 100
