@@ -160,6 +160,18 @@ def test_a_fast_clock_takes_more_readings_and_shorter_apertures(make_bench):
     assert np.polyfit(np.arange(1000), begin_ns[:1000] - start_ns, 1)[0] == pytest.approx(1e8 / 1.0001, rel=1e-9)
 
 
+def test_a_fast_clock_does_not_shift_the_input(make_bench):
+    hum = Sine(amplitude_V=1.0, frequency_hz=0.731)
+    bench = make_bench(hum, clock_error_ppm=1000.0, noise=False)
+    power_on_ns = bench.clock.now_ns
+    bench.stream("100 ms")
+    bench.clock.advance(1_000.0)
+    truth = bench.meter.truth
+    expected_V = hum.average((truth["begin_ns"] - power_on_ns) * 1e-9, 0.02 / 1.001)
+
+    assert truth["signal_V"] == pytest.approx(expected_V, abs=1e-7)
+
+
 @settings(deadline=None, max_examples=25)
 @given(pauses_ms=st.lists(st.integers(0, 400), min_size=1, max_size=20), seed=st.integers(0, 1000))
 def test_readings_do_not_depend_on_when_they_are_asked_for(pauses_ms, seed):
@@ -227,6 +239,16 @@ def test_a_change_of_the_measurement_ends_it_and_clears_the_memory(bench):
 
     assert bench.ask("DATA:POIN?") == "+0"
     assert bench.ask("STAT:OPER:COND?") == "+0"
+
+
+def test_a_change_of_the_trigger_system_ends_the_measurement_and_keeps_its_readings(bench):
+    bench.stream("100 ms")
+    bench.clock.advance(1)
+    bench.tell("TRIG:DEL 1")
+    bench.clock.advance(1)
+
+    assert bench.ask("DATA:POIN?") == "+10"
+    assert bench.ask("STAT:OPER:COND?") == "+512"  # idle; the memory threshold is reached
 
 
 def test_reset_restores_the_defaults(bench):

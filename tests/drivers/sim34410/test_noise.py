@@ -41,6 +41,18 @@ def test_between_the_rows_of_the_table_noise_is_geometric():
     assert np.array(between) == pytest.approx(np.sqrt(np.array(above) * np.array(below)))
 
 
+def test_a_change_of_the_measurement_takes_a_new_zero(make_bench):
+    bench = make_bench(Level(level_V=0.0))
+    bench.stream("1", "VOLT:NPLC 100")
+    while not bench.meter.memory.last_V or abs(bench.meter.memory.last_V) < 4e-6:  # far beyond 0.3 uV of noise
+        bench.clock.advance(60)
+        bench.meter.advance()
+    bench.tell("VOLT:IMP:AUTO ON", "INIT")
+    bench.clock.advance(2.5)
+
+    assert abs(bench.meter.truth["value_V"][-1]) < 5 * 0.3e-6
+
+
 def test_autozero_off_lets_the_offset_wander_and_a_new_zero_ends_it(make_bench):
     bench = make_bench(Level(level_V=0.0))
     bench.stream("1", "VOLT:NPLC 100")

@@ -1,5 +1,6 @@
 import socket
 import threading
+import time
 from contextlib import contextmanager
 
 import pytest
@@ -73,6 +74,17 @@ def test_a_reading_is_answered_when_it_has_been_taken():
 
         assert abs(float(client.ask("READ?"))) < 1
         assert client.ask("SYST:ERR?") == b'+0,"No error"\n'
+
+
+def test_an_answer_does_not_wait_for_the_next_idle_look():
+    with served() as connect:
+        client = connect()
+        client.ask("*IDN?")
+        before_s = time.monotonic()
+        for _ in range(4):
+            client.ask("READ?")  # 40 ms each; 500 ms between idle looks
+
+        assert time.monotonic() - before_s < 1.5
 
 
 def test_others_are_served_while_one_waits():

@@ -25,9 +25,10 @@ def test_an_event_stays_until_it_is_read_and_only_a_rising_condition_makes_one()
     register = EventRegister()
     register.become(0b101)
     register.become(0b001)
-    register.become(0b001)
-
     assert (register.condition, register.take(), register.take()) == (0b001, 0b101, 0)
+
+    register.become(0b001)
+    assert register.take() == 0
 
 
 def test_the_summary_is_of_enabled_events():
