@@ -16,7 +16,7 @@ from typing import Annotated
 from annotated_types import Ge, Interval
 
 from aemd.acquire.instrument import Clock
-from aemd.model import GaussMarkov, Model, Shocks, Term
+from aemd.model import GaussMarkov, Model, Shocks, Term, WhiteNoise
 from sim34410.converter import Input
 from sim34410.meter import Meter, MeterProperties
 from sim34410.playback import read_playback
@@ -28,9 +28,10 @@ SENSOR: tuple[Term, ...] = (
     GaussMarkov.from_sd(sd_V=2e-3, tau_s=5.0, role="signal"),
     GaussMarkov(role="internal", rate_V_per_rt_s=2e-5),
     Shocks(rate_per_s=0.05, sd_V=20e-3, decay_s=0.1),
+    WhiteNoise.from_sd(sd_V=16.7e-6, aperture_s=0.02),
 )
-"""A sensor in the style of the paper's accelerometer: some mV of signal, a bias that walks 1 mV in 40 min, and a shock
-of tens of mV every 20 s."""
+"""A sensor in the style of the paper's accelerometer: some mV of signal, a bias that walks 1 mV in 40 min, a shock of
+tens of mV every 20 s, and the white noise of the paper's section 3, 0.11 mV from peak to peak in readings of 20 ms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +47,7 @@ class Options:
     terms: tuple[Term, ...] = SENSOR
     """The model of the input, unless a recording is given."""
     recording: Path | None = None
-    """A CSV (`time,value`: seconds, volts) to be played back as the input, again and again."""
+    """One of our recordings, or a CSV (`time,value`: seconds, volts), to be played as the input again and again."""
     clock_error_ppm: Annotated[float, Interval(ge=-1000, le=1000)] = 0.0
     """How much the meter's clock runs fast."""
     noise: bool = True

@@ -4,10 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import pytest
-from sim34410.meter import Meter, MeterProperties
-from sim34410.session import Session
 
 from aemd.model import Level, Model, Term
+from sim34410.meter import Meter, MeterProperties
+from sim34410.session import Session
 
 
 @dataclass

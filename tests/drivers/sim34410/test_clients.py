@@ -4,9 +4,9 @@ import socket
 
 import numpy as np
 import pytest
-from sim34410 import Options, serve
 
 from aemd.model import Level
+from sim34410 import Options, serve
 
 LEVEL_V = 1.2345
 

@@ -3,6 +3,7 @@ from collections import deque
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+
 from sim34410.memory import MEMORY_READINGS, ReadingMemory
 
 sizes = st.integers(0, 10) | st.integers(0, 3 * MEMORY_READINGS)

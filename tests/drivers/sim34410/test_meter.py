@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sim34410.meter import Meter, MeterProperties
-from sim34410.schedule import REARM_NS
 
 from aemd.model import GaussMarkov, Level, Model, Shocks, Sine
+from sim34410.meter import Meter, MeterProperties
+from sim34410.schedule import REARM_NS
 
 TIMING_VIOLATION, MEMORY_OVERFLOW, VOLTAGE_OVERLOAD = 1 << 2, 1 << 14, 1 << 0
 

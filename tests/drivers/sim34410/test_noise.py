@@ -2,9 +2,9 @@ from math import sqrt
 
 import numpy as np
 import pytest
-from sim34410.noise import noise_sd
 
 from aemd.model import Level
+from sim34410.noise import noise_sd
 
 
 @pytest.mark.parametrize(

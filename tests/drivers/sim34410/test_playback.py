@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
-from sim34410 import Options, make_meter
-from sim34410.playback import BEYOND_V, Playback, read_playback
 
 from aemd.block import ESTIMATE, Batch, Status, make_block
 from aemd.errors import RecordingError
 from aemd.record.description import Description
 from aemd.record.writer import Recorder
+from sim34410 import Options, make_meter
+from sim34410.playback import BEYOND_V, Playback, read_playback
 
 TIME_s = np.array([5.0, 5.1, 5.3, 5.4])  # from 0: edges 0, 0.1, 0.3, 0.4 and, after another median of 0.1, 0.5
 VALUE_V = np.array([1.0, -2.0, 4.0, 0.3])

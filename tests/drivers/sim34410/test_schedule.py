@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from sim34410.schedule import GRID_NS, REARM_NS, Schedule, on_grid_ns
 
 schedules = st.builds(

@@ -4,13 +4,13 @@ import time
 from contextlib import contextmanager
 
 import pytest
-import sim34410
 from pyvisa.util import from_ieee_block
-from sim34410 import Meter, MeterProperties, Options, serve, serve_meter
 
+import sim34410
 from aemd.acquire.instrument import Simulator, find_simulator
 from aemd.errors import InstrumentError
 from aemd.model import Level, Model
+from sim34410 import Meter, MeterProperties, Options, serve, serve_meter
 
 PROTOCOL: Simulator = sim34410  # for the type checker
 

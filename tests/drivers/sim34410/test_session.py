@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyvisa.util import from_ascii_block, from_ieee_block
+
+from aemd.model import Level, Model
 from sim34410.commands import COMMANDS
 from sim34410.meter import Meter
 from sim34410.session import INPUT_BYTES, Session
-
-from aemd.model import Level, Model
 
 
 def measured(bench, n=5):

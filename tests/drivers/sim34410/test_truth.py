@@ -1,9 +1,9 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from sim34410.truth import TruthLog
 
 from aemd.model import Truth
+from sim34410.truth import TruthLog
 
 
 def note(log, index, size):
