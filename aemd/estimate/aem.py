@@ -28,7 +28,7 @@ class AemOptions(EmOptions):
     """Unit of a slope, V per reading: the paper's millivolt. Scale it with the noise of the sensor."""
     fit_order: Annotated[int, Ge(2), Le(10)] = 2
     """Degree of the curve fitted to the recent readings: the lowest whose slopes differ. White noise of 0.99 mV then
-    leaves the longest window in place 85 times in 100, and one reading 3 mV off takes it away."""
+    leaves the longest window in place 85 times in 100, and a newest reading 3 mV off takes it away."""
     fit_history: Count = 15
     """Readings that the curve is fitted to: as many as the longest window takes."""
 
@@ -56,6 +56,9 @@ class Aem:
     the estimate before the window, and take in turn the filter (E step) and the mean of what it leaves (M step, eq. 15)
     until the stop rule holds. Input and disturbance cannot be told apart within one window; only the start and the
     early stop keep them apart. With `delta` at 0.01 the first pass is mostly the last, and AEM nearly a Kalman filter.
+
+    Many passes are no cure: their limit is x_k = x_{k-v}: an estimate that repeats an early window, shocks
+    included, and follows the input no more.
 
     value_V, sigma_V  the filter's at the window's last reading, the disturbance taken as known: sigma is a lower bound
     log_likelihood    of the reading about phi x + u with the last estimate and disturbance, variance phi^2 P + Q + R

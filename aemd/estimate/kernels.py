@@ -8,7 +8,7 @@ Letters, as in the paper (Shen et al., Micromachines 10(5), 294, 2019):
 
     z  reading, V           x, P  state and its variance, V and V^2      u  disturbance, V
     v  window length        K     gain of the Kalman filter              r  pass of the expectation maximisation
-    Q, R  variances of process and reading, V^2                          m, n  mean and readings that lack
+    m, M  predicted state and its variance                               Q, R  variances of process and reading, V^2
 """
 
 import math
@@ -39,7 +39,7 @@ NOW = np.dtype(
         ("hole", "<i8"),  # readings without a value since the last one with; NEVER before the first with one
         ("run", "<i8"),  # usable readings in a row, up to the last one, that had an estimate before them
         ("blind", "<i8"),  # readings since the last that the estimate has taken in
-        ("windowed", "<i8"),  # 1 while estimates come from windows, or coast after one
+        ("windowed", "<i8"),  # 1 from the first window on, until the Kalman filter stands in
         ("slot", "<i8"),  # of the next reading in the rings of AemState
         ("x", "<f8"),
         ("P", "<f8"),
