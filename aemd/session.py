@@ -1,5 +1,6 @@
 """One acquisition, from config to finished recording; and the simulated meter for others to use."""
 
+import gc
 import platform
 import socket
 import time
@@ -99,6 +100,9 @@ def acquire(
         estimator = make_estimator(config.estimator.name, config.estimator.options, instrument.interval_s)
         estimator.push(np.empty(0, READING))  # compiles the kernel, which the first readings should not wait for
         most = None if seconds is None else max(1, round(seconds / instrument.interval_s))
+        # What is there stays: without it, a garbage collection in mid-stream would walk all of it, for tens of ms.
+        gc.collect()
+        gc.freeze()
         tally = Tally()
         recorder = Background(_open_recorder(config, instrument, folder))
         failure: InstrumentError | None = None
@@ -117,6 +121,7 @@ def acquire(
         path = recorder.close(
             "stop" if failure is None else "failed",
             facts={"acquired": str(acquisition.counts.acquired)},
+            clock=acquisition.clock_facts(),
         )
     if failure is not None:
         raise InstrumentError(f"{failure}; the {tally.counts.readings} readings before are in {path}") from failure

@@ -102,6 +102,7 @@ def test_a_recording_tells_what_it_was_made_with(aemd: Run, recording: Path, qui
     assert metadata["aemd.estimator"]["name"] == "aem"
     assert metadata["aemd.close"]["reason"] == "stop"
     assert int(metadata["aemd.close"]["acquired"]) == 500
+    assert 0 < float(metadata["aemd.clock"]["uncertainty_s"]) < 2e-3
     assert attachments["config.toml"].decode() == quick.read_text()
 
 

@@ -96,8 +96,8 @@ class Acquisition:
         self._clock = clock
         self._ring = Ring(ring_readings)
         self._fit = DeviceClock(instrument.interval_s, instrument.sample_delay_s, instrument.epoch_readings)
-        offset_ns = utc() - clock()
-        self._ledger = Ledger(self._fit, offset_ns, instrument.epoch_readings, instrument.memory_readings)
+        self._offset_ns = utc() - clock()
+        self._ledger = Ledger(self._fit, self._offset_ns, instrument.epoch_readings, instrument.memory_readings)
         self._deliveries: SimpleQueue[_Delivery | None] = SimpleQueue()
         self._stops: SimpleQueue[None] = SimpleQueue()  # its put is reentrant, which Event.set is not: see `stop`
         self._abandoned = Flag()
@@ -125,6 +125,17 @@ class Acquisition:
         delivered = self._ring.popped  # before `pushed`, so that none seems to be delivered before it is acquired
         acquired = self._ring.pushed
         return Counts(acquired, delivered, acquired - delivered, self._ledger.lost)
+
+    def clock_facts(self) -> dict[str, str]:
+        """Return what is known of the instrument's clock now, as a recording keeps it."""
+        return {
+            "stamps": "middle of the aperture, by the instrument's timer held against the host's monotonic clock",
+            "utc_minus_monotonic_ns": str(self._offset_ns),
+            "uncertainty_s": repr(self._fit.uncertainty_ns * 1e-9),
+            "rate": repr(self._fit.rate),
+            "rate_uncertainty": repr(self._fit.rate_uncertainty),
+            "restarts": str(self._fit.restarts),
+        }
 
     def stop(self) -> None:
         """End sampling; `batches` ends once everything that the instrument holds is delivered.

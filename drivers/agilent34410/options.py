@@ -15,10 +15,11 @@ POWER_LINE_CYCLES = (0.001, 0.002, 0.006, 0.02, 0.06, 0.2, 1.0, 2.0, 10.0, 100.0
 class Options:
     """Settings of a 34410A that measures a DC voltage at equal intervals.
 
-    The default interval is 3182 steps of the meter's 20 us grid, 15.713 Hz, beside the 15 Hz of the paper (Shen et
-    al., Micromachines 10(5), 294, 2019). At 15.000 Hz the mains and its harmonics (50, 60, 100, 120 Hz...) fold onto
-    0 Hz and 5 Hz, where the slow signal is; at 110/7 Hz none of the first four harmonics of 50 and 60 Hz folds
-    nearer to 0 Hz than 2.85 Hz, and no rate from 14 to 16 Hz does better.
+    The default interval is 3356 steps of the meter's 20 us grid, 14.899 Hz, beside the 15 Hz of the paper (Shen et al.,
+    Micromachines 10(5), 294, 2019). At 15.000 Hz the mains and their harmonics (50, 60, 100, 120 Hz...) fold onto 0 Hz
+    and 5 Hz, where they are neither told from the slow signal nor from each other. At 14.899 Hz the first three of
+    50 Hz fold onto 5.3, 4.3 and 1.0 Hz, those of 60 Hz onto 0.4, 0.8 and 1.2 Hz: each alone, so that the pattern names
+    the grid. (A rate at which none comes near 0 Hz, such as 110/7 Hz, folds 50 and 60 Hz onto the same place.)
 
     Raises:
         ValueError: a value that the meter does not have.
@@ -36,7 +37,7 @@ class Options:
     """More than 10 GOhm on the ranges up to 10 V; false for 10 MOhm on all."""
     trigger_delay_s: Annotated[float, Ge(0.0), Le(3600.0)] | None = None
     """From the trigger to the first reading, s; absent for the meter's own choice."""
-    interval_s: Annotated[float, Gt(0.0), Le(3600.0)] = 0.06364
+    interval_s: Annotated[float, Gt(0.0), Le(3600.0)] = 0.06712
     """Time between readings, s; the meter rounds it to its grid and what it answers counts."""
     timeout_s: Annotated[float, Gt(0.0), Le(60.0)] = 2.0
     """Longest wait for an answer, s."""

@@ -8,15 +8,15 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from typing import Any
 
-import agilent34410
 import numpy as np
 import pytest
-from sim34410 import Meter
 
+import agilent34410
 from aemd.acquire.acquisition import Acquisition
 from aemd.acquire.instrument import Instrument
 from aemd.block import READING, Batch, Status
 from aemd.errors import InstrumentError
+from sim34410 import Meter
 from tests.drivers.agilent34410.bench import FAST, Ramp, served
 
 QUICK = agilent34410.Options(nplc=0.2, autozero="off", interval_s=0.01)

@@ -4,15 +4,15 @@ import re
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 
-import agilent34410
 import numpy as np
 import pytest
-from sim34410 import Meter
 
+import agilent34410
 from aemd.acquire.clock import DeviceClock
 from aemd.acquire.instrument import Drain, Instrument
 from aemd.acquire.ledger import Ledger
 from aemd.block import Block, Event, Status
+from sim34410 import Meter
 from tests.drivers.agilent34410.bench import FAST, HandClock, Ramp, served
 
 SLOW = agilent34410.Options(trigger_delay_s=0.0)

@@ -8,11 +8,11 @@ from threading import Event, Thread
 from typing import Any
 
 import numpy as np
-from agilent34410 import Options
 from numpy.typing import NDArray
-from sim34410 import Meter, MeterProperties, serve_meter
 
 from aemd.model import Truth
+from agilent34410 import Options
+from sim34410 import Meter, MeterProperties, serve_meter
 
 FAST = Options(interval_s=1e-4, aperture_s=1e-4, autozero="off", trigger_delay_s=0.0, display=False)
 """10,000 readings/s."""

@@ -2,9 +2,9 @@ import re
 import time
 
 import pytest
-from agilent34410.link import Link, open_link
 
 from aemd.errors import InstrumentError
+from agilent34410.link import Link, open_link
 from tests.drivers.agilent34410.bench import served, stranger, unused_resource
 
 

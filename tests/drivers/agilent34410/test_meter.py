@@ -4,15 +4,15 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from typing import Any, cast
 
-import agilent34410
 import numpy as np
 import pytest
-import sim34410
-from agilent34410 import Options
 
+import agilent34410
+import sim34410
 from aemd.acquire.instrument import Driver, Instrument, find_driver
 from aemd.block import Status
 from aemd.errors import InstrumentError
+from agilent34410 import Options
 from tests.drivers.agilent34410.bench import FAST, HandClock, Ramp, served, stranger, unused_resource
 
 
@@ -181,7 +181,7 @@ def test_stopping_keeps_the_rest_in_the_memory_to_be_drained() -> None:
         instrument.stop()
         clock.move(1.0)
 
-        assert instrument.drain(1000).values_V.size == pytest.approx(1 / 0.06364, abs=1)
+        assert instrument.drain(1000).values_V.size == pytest.approx(1 / 0.06712, abs=1)
 
 
 def test_closing_stops_the_meter_and_lights_its_display() -> None:
@@ -206,7 +206,7 @@ def test_closing_stops_the_meter_and_lights_its_display() -> None:
         ),
         (
             Options(aperture_s=0.1, autozero="off"),
-            "interval_s = 0.06364: a reading takes 1 x 100 ms (aperture), and the meter's least interval is 100 ms;"
+            "interval_s = 0.06712: a reading takes 1 x 100 ms (aperture), and the meter's least interval is 100 ms;"
             " ask for 0.1 s or more, a shorter aperture",
         ),
     ],
