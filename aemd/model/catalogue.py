@@ -1,31 +1,66 @@
-"""The terms there are, and the model: a sum of terms with a seed.
+"""The terms and effects there are, and the model: a sum of terms, then effects one after the other, with a seed.
 
     [[terms]]
     term = "sine"
     amplitude_V = 2e-3
     frequency_hz = 0.2
 
+    [[effects]]
+    effect = "quantiser"
+    step_V = 1e-6
+
 Pydantic is named here, and only here in the model, for its tagged union: a mistake in a term is then reported for that
 term, and not once for every term there is.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Annotated, TypeAlias
+from typing import Annotated, TypeAlias, get_args
 
 import numpy as np
 from annotated_types import Ge
 from pydantic import Discriminator
 
+from aemd.model.converter import DeadBand, Nonlinearity, Quantiser, RangeSwitching, ReadingPattern, Saturation
 from aemd.model.deterministic import Level, Sine, SquareBurst
+from aemd.model.effect import Readings
 from aemd.model.gauss_markov import GaussMarkov
+from aemd.model.link import ClockError, Latency, MissingSamples, ReplayedBlock, StuckReadings, TimestampJitter
+from aemd.model.reading_noise import DifferenceNoise, HeavyTails, SignalDependentNoise
 from aemd.model.shocks import Shocks
 from aemd.model.term import Times, Volts
 from aemd.model.white_noise import WhiteNoise
 
-__all__ = ["Model", "ModelRealisation", "Term", "Truth"]
+__all__ = ["EFFECTS", "TERMS", "Effect", "Model", "ModelRealisation", "Term", "Truth"]
 
 Term: TypeAlias = Annotated[Level | Sine | SquareBurst | GaussMarkov | Shocks | WhiteNoise, Discriminator("term")]
 """Any term; its `term` says which."""
+
+Effect: TypeAlias = Annotated[
+    DifferenceNoise
+    | HeavyTails
+    | SignalDependentNoise
+    | Nonlinearity
+    | DeadBand
+    | RangeSwitching
+    | ReadingPattern
+    | Saturation
+    | Quantiser
+    | StuckReadings
+    | ReplayedBlock
+    | MissingSamples
+    | TimestampJitter
+    | ClockError
+    | Latency,
+    Discriminator("effect"),
+]
+"""Any effect; its `effect` says which."""
+
+# The tag is the first field's default; a class with slots does not have it as an attribute.
+TERMS: Mapping[str, type[Term]] = {str(fields(kind)[0].default): kind for kind in get_args(get_args(Term)[0])}
+EFFECTS: Mapping[str, type[Effect]] = {str(fields(kind)[0].default): kind for kind in get_args(get_args(Effect)[0])}
+
+_EFFECT_STREAMS = 1 << 31  # number of the first effect's stream; no model has so many terms
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +84,18 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """A sum of terms; with its seed, one history."""
+    """A sum of terms, then effects; with its seed, one history."""
 
     terms: tuple[Term, ...] = ()
     """In an order that belongs to the history: each term draws from a stream of its own, numbered by its place."""
     seed: Annotated[int, Ge(0)] = 1
+    effects: tuple[Effect, ...] = ()
+    """In the order in which they meet a reading."""
+
+    @property
+    def witnesses(self) -> dict[str, str]:
+        """Unit of each further quantity that a reading comes with, by its name."""
+        return {}
 
     def realise(self) -> "ModelRealisation":
         """Return the model's one history, at t = 0."""
@@ -69,6 +111,11 @@ class ModelRealisation:
             (term.role, term.realise(np.random.default_rng(stream)))
             for term, stream in zip(model.terms, streams, strict=True)
         ]
+        self._effects = [
+            effect.realise(np.random.default_rng(np.random.SeedSequence(model.seed, spawn_key=(number,))))
+            for number, effect in enumerate(model.effects, start=_EFFECT_STREAMS)
+        ]
+        self._readings = 0
 
     def average(self, start_s: Times, aperture_s: float) -> Truth:
         """Return the means over each aperture [start, start + aperture), by role.
@@ -87,3 +134,17 @@ class ModelRealisation:
         for role, realisation in self._terms:
             by_role[role] += realisation.average(start_s, aperture_s)
         return truth
+
+    def read(self, start_s: Times, aperture_s: float) -> Readings:
+        """Return the readings that a meter with these apertures delivers, after all effects.
+
+        Args:
+            start_s: as of `average`; call one or the other.
+            aperture_s: as of `average`.
+        """
+        index = np.arange(self._readings, self._readings + start_s.size)
+        self._readings += start_s.size
+        readings = Readings(index, start_s + aperture_s / 2, self.average(start_s, aperture_s).total)
+        for effect in self._effects:
+            readings = effect.apply(readings)
+        return readings
