@@ -111,7 +111,8 @@ def aem(block: Block, options: AemOptions, phi: float) -> Estimates:
             readings[lost], x[lost], P[lost] = None, phi * x[lost - 1], phi * phi * P[lost - 1] + Q
             blind, hole = blind + 1, hole + 1
         previous = k
-        if not status & NOT_A_VALUE and hole > options.restart_after:
+        possible = not status & NOT_A_VALUE and abs(z) <= options.gate * options.prior_sigma_V
+        if possible and hole > options.restart_after:
             if hole < UNKNOWN:
                 status |= Status.RESTARTED
             start, windowed, hole, u = k, False, 0, 0.0

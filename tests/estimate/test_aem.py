@@ -67,6 +67,7 @@ OPTIONS = st.fixed_dictionaries(
         "stop_rule": st.just("disturbance"),
         "delta": st.sampled_from([0.0, 1e-4, 0.3]),
         "r_max": st.integers(1, 25),
+        "gate": st.sampled_from([3.0, 10.0]),
         "prior": st.just("process"),
         "holes": st.just("kalman"),
         "windows": st.sampled_from([(12, 7), (9, 4, 2, 1), (8,)]),

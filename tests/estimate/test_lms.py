@@ -5,6 +5,7 @@ import padasip
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import norm
 
 from aemd.block import Block, Status, make_block
 from aemd.errors import ConfigError
@@ -53,6 +54,16 @@ def test_sigma_follows_the_size_of_the_prediction_error() -> None:
     error = block["value_V"] - estimates["value_V"]
 
     assert estimates["sigma_V"][500:].mean() == pytest.approx(error[500:].std(), rel=0.05)
+
+
+def test_the_likelihood_is_that_of_the_prediction_under_the_sigma_before_across_holes_too() -> None:
+    block = sine(4, 100)
+    block["status"][[40, 41, 70]] = int(Status.OVERLOAD_LOW)
+
+    estimates = make_estimator("lms", {}, INTERVAL_S).push(block)
+    expected = norm.logpdf(block["value_V"][1:], estimates["value_V"][1:], estimates["sigma_V"][:-1])
+
+    np.testing.assert_allclose(estimates["log_likelihood"][1:], np.where(block["status"][1:], 0.0, expected), rtol=1e-9)
 
 
 def test_weights_that_diverge_are_forgotten_and_nothing_infinite_comes_out() -> None:
