@@ -74,7 +74,7 @@ class Spread:
         >>> spread = Spread()
         >>> spread.add(np.array([1.0])), spread.add(np.array([2.0, 3.0]))
         (None, None)
-        >>> spread.variance == np.var([1.0, 2.0, 3.0])
+        >>> spread.variance == float(np.var([1.0, 2.0, 3.0]))
         True
         """
         return self._squares / self.count if self.count else None
