@@ -26,6 +26,9 @@ app = typer.Typer(
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, alone, on stdout.")]
 Plot = Annotated[Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw readings, estimate and window.")]
 EstimatorName = Annotated[str | None, typer.Option("--estimator", metavar="NAME", help="Estimator to use.")]
+Model = Annotated[
+    Path | None, typer.Option("--model", metavar="M.toml", help="Estimator and options from a file, as tune writes it.")
+]
 
 
 @app.command()
@@ -37,16 +40,19 @@ def acquire(
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the recording.")] = None,
     resource: Annotated[str | None, typer.Option(help='VISA resource of the meter, or "sim".')] = None,
     estimator: EstimatorName = None,
+    model: Model = None,
     plot: Plot = None,
     json: Json = False,
 ) -> None:
     """Acquire from a meter into a recording, estimating online, until --seconds are over or Ctrl-C."""
     from aemd import session
-    from aemd.config import load_config, name_estimator
+    from aemd.config import load_config, load_estimator, name_estimator
 
     settings = load_config(config)
     if resource is not None:
         settings = settings.with_resource(resource)
+    if model is not None:
+        settings = settings.with_estimator(load_estimator(model))
     if estimator is not None:
         settings = settings.with_estimator(name_estimator(estimator, settings.estimator))
     result = session.acquire(settings, seconds=seconds, directory=out, console=_stderr())
@@ -58,6 +64,7 @@ def acquire(
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
     estimator: EstimatorName = None,
+    model: Model = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write readings and new estimates here.")] = None,
     check: Annotated[bool, typer.Option("--check", help="Compare with the recorded estimates, bit for bit.")] = False,
     plot: Plot = None,
@@ -66,7 +73,7 @@ def replay(
     """Run a recording through the pipeline again: to the same bits, or with another estimator."""
     from aemd import replay as offline
 
-    result = offline.replay(file, estimator=estimator, out=out, check=check, console=_stderr())
+    result = offline.replay(file, estimator=estimator, model=model, out=out, check=check, console=_stderr())
     _show(result, "Replayed", json=json)
     if plot is not None:
         _draw(result.out or result.file, plot)

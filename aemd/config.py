@@ -29,6 +29,7 @@ __all__ = [
     "Scale",
     "choose_estimator",
     "load_config",
+    "load_estimator",
     "name_estimator",
     "parse_options",
     "recorded_estimator",
@@ -134,18 +135,40 @@ def load_config(path: Path | None) -> Config:
     Raises:
         ConfigError: the file cannot be read, is not TOML, or says something that cannot be.
     """
-    place = SIMULATED if path is None else str(path)
+    if path is None:
+        text = _simulated_text()
+        return _parse(_read_toml(text, SIMULATED), SIMULATED, text)
+    text = _read_text(path)
+    return _parse(_read_toml(text, str(path)), str(path), text)
+
+
+def load_estimator(path: Path) -> EstimatorChoice:
+    """Read the [estimator] table of a model file, such as `aemd tune` writes, or of a config; other tables are left be.
+
+    Raises:
+        ConfigError: the file cannot be read, is not TOML, has no such table, or says something that cannot be.
+    """
+    tables = _read_toml(_read_text(path), str(path))
+    table = tables.get("estimator")
+    if not isinstance(table, dict):
+        raise ConfigError(f"{path}: [estimator]: missing; `aemd tune` writes such a file")
+    return choose_estimator(table, str(path))
+
+
+def _read_text(path: Path) -> str:
     try:
-        text = _simulated_text() if path is None else path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        raise ConfigError(f"{place}: {(error.strerror or str(error)).lower()}; name a readable config file") from error
+        raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}; name a readable TOML file") from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{place}: byte {error.start}: not UTF-8 text; a config is a TOML file") from error
+        raise ConfigError(f"{path}: byte {error.start}: not UTF-8 text; this must be a TOML file") from error
+
+
+def _read_toml(text: str, place: str) -> dict[str, Any]:
     try:
-        tables = tomllib.loads(text)
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{place}: not TOML: {str(error)[0].lower()}{str(error)[1:]}") from error
-    return _parse(tables, place, text)
 
 
 def _simulated_text() -> str:

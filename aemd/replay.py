@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from aemd.block import ESTIMATE, READING, Batch, Estimates
-from aemd.config import EstimatorChoice, name_estimator, recorded_estimator
+from aemd.config import EstimatorChoice, load_estimator, name_estimator, recorded_estimator
 from aemd.display import advancing
 from aemd.errors import UsageError
 from aemd.estimate.registry import make_estimator
@@ -46,6 +46,7 @@ def replay(
     path: Path,
     *,
     estimator: str | None = None,
+    model: Path | None = None,
     out: Path | None = None,
     check: bool = False,
     console: Console | None = None,
@@ -54,19 +55,22 @@ def replay(
 
     Args:
         path: the recording.
-        estimator: by name; None for the recorded one, or AEM where none was.
+        estimator: by name; None for the model's or the recorded one, or AEM where neither is.
+        model: a file with an estimator and its options, in the place of the recorded one.
         out: the new recording; None for none.
         check: compare with the recorded estimates.
         console: where progress is shown; None for nowhere.
 
     Raises:
         RecordingError: the recording cannot be read, or the new one not written.
+        ConfigError: the model file is wrong.
         UsageError: no such estimator, or `check` of a recording without estimates or with another estimator.
     """
     with Recording(path) as recording:
         description = recording.description
         recorded = recorded_estimator(description, str(path))
-        choice = recorded if recorded and estimator is None else name_estimator(estimator or "aem", recorded)
+        known = recorded if model is None else load_estimator(model)
+        choice = known if known and estimator is None else name_estimator(estimator or "aem", known)
         comparison = _Comparison(recorded, choice, path) if check else None
         tally = Tally(description.first_index)
         made = make_estimator(choice.name, choice.options, description.interval_s)
