@@ -78,11 +78,12 @@ def read_model(path: Path) -> Model:
     seed = tables.get("seed", 1)
     if type(seed) is not int or seed < 0:  # a bool is an int, but no seed
         raise ConfigError(f"{place}: seed = {seed!r}: must be a whole number, at least 0")
-    return Model(
-        terms=cast("tuple[Term, ...]", _parse_parts(tables, "terms", "term", TERMS, place)),
-        seed=seed,
-        effects=cast("tuple[Effect, ...]", _parse_parts(tables, "effects", "effect", EFFECTS, place)),
-    )
+    terms = cast("tuple[Term, ...]", _parse_parts(tables, "terms", "term", TERMS, place))
+    effects = cast("tuple[Effect, ...]", _parse_parts(tables, "effects", "effect", EFFECTS, place))
+    try:
+        return Model(terms, seed, effects)
+    except ValueError as error:
+        raise ConfigError(f"{place}: {error}") from error
 
 
 def write_model(model: Model, path: Path) -> None:

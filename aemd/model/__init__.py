@@ -5,14 +5,19 @@ terms ──> sum ──> mean over the aperture ──> effects, one after the 
 
 from aemd.model.catalogue import EFFECTS, TERMS, Effect, Model, ModelRealisation, Term, Truth
 from aemd.model.converter import DeadBand, Nonlinearity, Quantiser, RangeSwitching, ReadingPattern, Saturation
-from aemd.model.deterministic import Level, Sine, SquareBurst
+from aemd.model.deterministic import Level, PeriodicPulse, Sine, SquareBurst, Step, WarmUp
 from aemd.model.effect import EffectRealisation, Readings, Witness
+from aemd.model.flicker import FlickerNoise
 from aemd.model.gauss_markov import GaussMarkov
 from aemd.model.link import ClockError, Latency, MissingSamples, ReplayedBlock, StuckReadings, TimestampJitter
+from aemd.model.popcorn import PopcornNoise
 from aemd.model.reading_noise import DifferenceNoise, HeavyTails, SignalDependentNoise
+from aemd.model.resonance import Resonance
 from aemd.model.shocks import Shocks
 from aemd.model.term import Realisation, Role
+from aemd.model.wandering_line import WanderingLine
 from aemd.model.white_noise import WhiteNoise
+from aemd.model.witnessed import SupplyCoupling, ThermalDrift
 
 __all__ = [
     "EFFECTS",
@@ -22,6 +27,7 @@ __all__ = [
     "DifferenceNoise",
     "Effect",
     "EffectRealisation",
+    "FlickerNoise",
     "GaussMarkov",
     "HeavyTails",
     "Latency",
@@ -30,22 +36,30 @@ __all__ = [
     "Model",
     "ModelRealisation",
     "Nonlinearity",
+    "PeriodicPulse",
+    "PopcornNoise",
     "Quantiser",
     "RangeSwitching",
     "ReadingPattern",
     "Readings",
     "Realisation",
     "ReplayedBlock",
+    "Resonance",
     "Role",
     "Saturation",
     "Shocks",
     "SignalDependentNoise",
     "Sine",
     "SquareBurst",
+    "Step",
     "StuckReadings",
+    "SupplyCoupling",
     "Term",
+    "ThermalDrift",
     "TimestampJitter",
     "Truth",
+    "WanderingLine",
+    "WarmUp",
     "WhiteNoise",
     "Witness",
 ]

@@ -22,24 +22,46 @@ from annotated_types import Ge
 from pydantic import Discriminator
 
 from aemd.model.converter import DeadBand, Nonlinearity, Quantiser, RangeSwitching, ReadingPattern, Saturation
-from aemd.model.deterministic import Level, Sine, SquareBurst
-from aemd.model.effect import Readings
+from aemd.model.deterministic import Level, PeriodicPulse, Sine, SquareBurst, Step, WarmUp
+from aemd.model.effect import Readings, Witness
+from aemd.model.flicker import FlickerNoise
 from aemd.model.gauss_markov import GaussMarkov
 from aemd.model.link import ClockError, Latency, MissingSamples, ReplayedBlock, StuckReadings, TimestampJitter
+from aemd.model.popcorn import PopcornNoise
 from aemd.model.reading_noise import DifferenceNoise, HeavyTails, SignalDependentNoise
+from aemd.model.resonance import Resonance
 from aemd.model.shocks import Shocks
 from aemd.model.term import Times, Volts
+from aemd.model.wandering_line import WanderingLine
 from aemd.model.white_noise import WhiteNoise
+from aemd.model.witnessed import SupplyCoupling, ThermalDrift, ThermalDriftRealisation
 
 __all__ = ["EFFECTS", "TERMS", "Effect", "Model", "ModelRealisation", "Term", "Truth"]
 
-Term: TypeAlias = Annotated[Level | Sine | SquareBurst | GaussMarkov | Shocks | WhiteNoise, Discriminator("term")]
+Term: TypeAlias = Annotated[
+    Level
+    | Step
+    | WarmUp
+    | Sine
+    | WanderingLine
+    | PeriodicPulse
+    | SquareBurst
+    | GaussMarkov
+    | FlickerNoise
+    | PopcornNoise
+    | Resonance
+    | ThermalDrift
+    | Shocks
+    | WhiteNoise,
+    Discriminator("term"),
+]
 """Any term; its `term` says which."""
 
 Effect: TypeAlias = Annotated[
     DifferenceNoise
     | HeavyTails
     | SignalDependentNoise
+    | SupplyCoupling
     | Nonlinearity
     | DeadBand
     | RangeSwitching
@@ -95,7 +117,17 @@ class Model:
     @property
     def witnesses(self) -> dict[str, str]:
         """Unit of each further quantity that a reading comes with, by its name."""
-        return {}
+        return {
+            part.witness: "V" if isinstance(part, SupplyCoupling) else "\N{DEGREE SIGN}C"
+            for part in (*self.terms, *self.effects)
+            if isinstance(part, ThermalDrift | SupplyCoupling)
+        }
+
+    def __post_init__(self) -> None:
+        """Refuse two parts that would be witnessed under one name."""
+        for kind in (ThermalDrift, SupplyCoupling):
+            if sum(isinstance(part, kind) for part in (*self.terms, *self.effects)) > 1:
+                raise ValueError(f"{fields(kind)[0].default}: at most one, since it is recorded under one name")
 
     def realise(self) -> "ModelRealisation":
         """Return the model's one history, at t = 0."""
@@ -144,7 +176,14 @@ class ModelRealisation:
         """
         index = np.arange(self._readings, self._readings + start_s.size)
         self._readings += start_s.size
-        readings = Readings(index, start_s + aperture_s / 2, self.average(start_s, aperture_s).total)
+        middle_s = start_s + aperture_s / 2
+        value_V = self.average(start_s, aperture_s).total
+        witnesses: dict[str, Witness] = {
+            term.name: Witness(middle_s, term.temperature_C)
+            for _, term in self._terms
+            if isinstance(term, ThermalDriftRealisation)
+        }
+        readings = Readings(index, middle_s, value_V, witnesses)
         for effect in self._effects:
             readings = effect.apply(readings)
         return readings

@@ -1,25 +1,29 @@
 """White noise at the input; the longer the aperture, the less of it is left in a reading."""
 
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
 from typing import Literal
 
 import numpy as np
 from numpy.random import Generator
 
-from aemd.model.term import Positive, Role, Times, Volts
+from aemd.model.term import NonNegative, Positive, PositiveOrInfinite, Role, Times, Volts
 
 __all__ = ["WhiteNoise"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WhiteNoise:
-    """Gaussian noise of constant one-sided density."""
+    """Gaussian noise of constant one-sided density; with a beginning and an end, a burst of it."""
 
     term: Literal["white_noise"] = "white_noise"
     role: Role = "noise"
     density_V_per_rt_hz: Positive
     """Square root of the one-sided power spectral density, V/sqrt(Hz)."""
+    start_s: NonNegative = 0.0
+    """s."""
+    duration_s: PositiveOrInfinite = inf
+    """s."""
 
     @classmethod
     def from_sd(cls, sd_V: float, aperture_s: float) -> "WhiteNoise":
@@ -43,5 +47,13 @@ class WhiteNoiseRealisation:
         self._rng = rng
 
     def average(self, start_s: Times, aperture_s: float) -> Volts:
-        """Return the mean over each aperture, V, shape (n,)."""
-        return np.asarray(self._noise.sd(aperture_s) * self._rng.standard_normal(start_s.size))
+        """Return the mean over each aperture, V, shape (n,).
+
+        Where a burst fills a part p of an aperture T, the mean has the variance density^2 p / (2 T).
+        """
+        means = self._noise.sd(aperture_s) * self._rng.standard_normal(start_s.size)
+        if self._noise.start_s > 0 or self._noise.duration_s < inf:
+            begin = np.maximum(start_s, self._noise.start_s)
+            end = np.minimum(start_s + aperture_s, self._noise.start_s + self._noise.duration_s)
+            means *= np.sqrt(np.clip((end - begin) / aperture_s, 0, 1))
+        return np.asarray(means)

@@ -7,7 +7,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from aemd.model import GaussMarkov, Level, Model, Shocks, Sine, SquareBurst, Term, WhiteNoise
+from aemd.model import (
+    FlickerNoise,
+    GaussMarkov,
+    Level,
+    Model,
+    PeriodicPulse,
+    PopcornNoise,
+    Resonance,
+    Shocks,
+    Sine,
+    SquareBurst,
+    Step,
+    SupplyCoupling,
+    Term,
+    ThermalDrift,
+    WanderingLine,
+    WarmUp,
+    WhiteNoise,
+)
 
 TERMS = (
     Level(level_V=0.5),
@@ -17,7 +35,18 @@ TERMS = (
     GaussMarkov(role="internal", rate_V_per_rt_s=1e-5),
     Shocks(rate_per_s=5.0, sd_V=0.02, decay_s=0.1),
     Shocks(rate_per_s=5.0, sd_V=0.02),
+    Shocks(rate_per_s=5.0, sd_V=0.02, decay_s=0.1, second_fraction=0.3, second_decay_s=2.0, positive_fraction=0.9),
+    Shocks(rate_per_s=2.0, sd_V=0.02, ring_fraction=0.5, ring_hz=7.0, after_shocks=3.0, after_s=0.5),
+    Step(time_s=1.5, step_V=0.1),
+    WarmUp(amplitude_V=0.1, tau_s=5.0, slope_V_per_s=1e-3),
+    PeriodicPulse(amplitude_V=0.1, period_s=0.7, width_s=0.05, start_s=0.3),
+    WanderingLine(amplitude_V=0.1, frequency_hz=3.0, chirp_hz_per_s=0.01, wander_hz_per_rt_s=0.1),
+    FlickerNoise(amplitude_V=1e-3, low_hz=0.01, high_hz=10.0),
+    PopcornNoise(step_V=1e-3, dwell_low_s=0.5, dwell_high_s=0.2),
+    Resonance(frequency_hz=5.0, quality=30.0, sd_V=1e-3),
+    ThermalDrift(coefficient_V_per_C=1e-3, lag_s=2.0, sd_C=0.5, tau_s=100.0),
     WhiteNoise.from_sd(sd_V=1e-4, aperture_s=0.02),
+    WhiteNoise(density_V_per_rt_hz=1e-3, start_s=1.0, duration_s=2.0),
 )
 
 
@@ -125,3 +154,15 @@ def test_a_mistake_in_a_term_is_reported_once_and_at_its_place(term, place):
         validate({"terms": [term]})
 
     assert [fault["loc"] for fault in caught.value.errors()] == [(0, "terms", 0, *place)]
+
+
+@pytest.mark.parametrize(
+    ("terms", "effects"),
+    [
+        ((ThermalDrift(coefficient_V_per_C=1.0, sd_C=1.0, tau_s=9.0),) * 2, ()),
+        ((), (SupplyCoupling(coefficient_per_V=1.0, sd_V=1.0, tau_s=9.0),) * 2),
+    ],
+)
+def test_two_of_one_witness_are_refused(terms, effects):
+    with pytest.raises(ValueError, match="at most one"):
+        Model(terms, 1, effects)

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from aemd.model import Level, Sine, SquareBurst
+from aemd.model import Level, PeriodicPulse, Sine, SquareBurst, Step, WarmUp
 
 APERTURES_s = st.floats(1e-4, 1.0)
 STARTS_s = st.floats(0.0, 10.0)
@@ -57,3 +57,33 @@ def test_the_mean_of_a_burst_is_that_of_many_points_of_the_wave(start_s, apertur
     edges = 2 * frequency_hz * aperture_s + 3
 
     assert mean_over(burst, start_s, aperture_s) == pytest.approx(wave.mean(), abs=2 * edges / points)
+
+
+def test_a_step_is_in_an_aperture_by_the_part_that_is_after_it():
+    step = Step(time_s=1.0, step_V=2.0)
+
+    assert [mean_over(step, start_s, 0.2) for start_s in (0.0, 0.8, 0.95, 1.0, 5.0)] == pytest.approx([0, 0, 1.5, 2, 2])
+
+
+@given(start_s=STARTS_s, aperture_s=APERTURES_s, tau_s=st.floats(0.05, 1e6))
+def test_the_mean_of_a_warm_up_is_its_integral_over_the_aperture(start_s, aperture_s, tau_s):
+    warm_up = WarmUp(amplitude_V=3.0, tau_s=tau_s, slope_V_per_s=0.2)
+    integral, _ = quad(lambda t: 3 * np.exp(-t / tau_s) + 0.2 * t, start_s, start_s + aperture_s)
+
+    assert mean_over(warm_up, start_s, aperture_s) == pytest.approx(integral / aperture_s, rel=1e-9)
+
+
+def test_a_pulse_is_in_an_aperture_by_the_part_that_is_within_it():
+    pulse = PeriodicPulse(amplitude_V=2.0, period_s=1.0, width_s=0.1, start_s=0.25)
+    before, touching, across, two, beside = 0.0, 0.2, 0.3, 0.25, 0.5
+
+    assert mean_over(pulse, before, 0.2) == 0.0
+    assert mean_over(pulse, touching, 0.1) == pytest.approx(1.0)
+    assert mean_over(pulse, 7 + across, 0.1) == pytest.approx(1.0)
+    assert mean_over(pulse, two, 1.1) == pytest.approx(2 * 0.2 / 1.1)
+    assert mean_over(pulse, beside, 0.5) == 0.0
+
+
+def test_a_pulse_longer_than_its_period_is_refused():
+    with pytest.raises(ValueError, match=r"width_s = 2\.0: must be at most period_s = 1\.0"):
+        PeriodicPulse(amplitude_V=1.0, period_s=1.0, width_s=2.0)

@@ -25,6 +25,7 @@ from aemd.model import (
     SignalDependentNoise,
     Sine,
     StuckReadings,
+    SupplyCoupling,
     TimestampJitter,
     WhiteNoise,
 )
@@ -35,6 +36,7 @@ EVERY = (
     DifferenceNoise(sd_V=0.1),
     HeavyTails(sd_V=0.1, dof=4.0),
     SignalDependentNoise(fraction=0.2),
+    SupplyCoupling(coefficient_per_V=0.5, sd_V=0.1, tau_s=10.0),
     Nonlinearity(coefficient_per_V=0.1),
     DeadBand(width_V=0.4),
     RangeSwitching(threshold_V=1.0, hysteresis_V=0.3, offset_V=0.1, sd_V=0.2),

@@ -58,3 +58,49 @@ def test_a_shock_between_two_apertures_leaves_only_its_tail():
     means = shocks.realise(np.random.default_rng(SEED)).average(start_s, 1e-4)
 
     assert np.count_nonzero(means) < 30  # 5 expected of 50,000 shocks
+
+
+def test_a_second_decay_shares_the_amplitude():
+    only, shared = (
+        contiguous_means(
+            Shocks(rate_per_s=0.2, sd_V=1.0, decay_s=0.05, second_fraction=f, second_decay_s=0.5), 0.01, 900
+        )
+        for f in (0.0, 0.3)
+    )
+    second = contiguous_means(Shocks(rate_per_s=0.2, sd_V=1.0, decay_s=0.5), 0.01, 900)
+
+    assert shared == pytest.approx(0.7 * only + 0.3 * second, abs=1e-14)
+
+
+@pytest.mark.parametrize("aperture_s", [1e-3, 0.05])
+def test_a_ring_down_is_a_damped_sine_from_each_shock_on(aperture_s):
+    shocks = Shocks(rate_per_s=2.0, sd_V=1.0, ring_fraction=0.5, ring_hz=7.0, ring_decay_s=0.3)
+    history = shocks.realise(np.random.default_rng(SEED))
+    means = history.average(np.arange(100) * aperture_s * 2, aperture_s)
+    rng = np.random.default_rng(SEED)  # the same shocks, and the sum of their shapes by many points
+    time_s, amplitude_V = np.cumsum(rng.exponential(0.5, 64)), rng.normal(0.0, 1.0, 64)
+    points_s = (np.arange(100) * aperture_s * 2)[:, None] + aperture_s * (np.arange(2000) + 0.5) / 2000
+    expected = np.zeros(100)
+    for at_s, amplitude in zip(time_s, amplitude_V, strict=True):
+        since_s = points_s - at_s
+        shape = 0.5 * np.exp(-since_s / 0.3) * np.sin(2 * np.pi * 7 * since_s)
+        expected += amplitude * np.where(since_s >= 0, shape, 0).mean(axis=1)
+        expected += amplitude * ((since_s[:, 0] < 0) & (since_s[:, -1] >= 0))  # the shock itself, which has no decay
+
+    assert means == pytest.approx(expected, abs=2e-3)
+
+
+def test_the_sign_of_shocks_may_be_preferred():
+    means = contiguous_means(Shocks(rate_per_s=5.0, sd_V=1.0, positive_fraction=0.9), 1e-3, 400_000)
+    struck = means[means != 0]
+
+    assert np.mean(struck > 0) == pytest.approx(0.9, abs=5 * 0.3 / sqrt(struck.size))
+    assert np.mean(struck**2) == pytest.approx(1.0, rel=5 * sqrt(2 / struck.size) + 5e-3)  # few apertures hold two
+
+
+def test_after_shocks_follow_and_cluster():
+    means = contiguous_means(Shocks(rate_per_s=1.0, sd_V=1.0, after_shocks=2.0, after_s=0.05), 1e-3, 1_000_000)
+    waits_s = np.diff(np.flatnonzero(means)) * 1e-3
+
+    assert np.count_nonzero(means) == pytest.approx(3 * 1000, rel=0.1)
+    assert np.mean(waits_s < 0.05) > 0.5  # a Poisson process of this rate would have 1 - e^-0.15 = 14 %
