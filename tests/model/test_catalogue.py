@@ -109,6 +109,20 @@ def test_white_noise_averages_out_with_the_root_of_the_aperture(aperture_s):
     assert readings.std() == pytest.approx(1e-3 / sqrt(2 * aperture_s), rel=5 / sqrt(2 * 50_000))
 
 
+def test_a_burst_of_white_noise_begins_and_ends_within_apertures():
+    n, aperture_s = 50_000, 0.02
+    noise = WhiteNoise(density_V_per_rt_hz=1e-3, start_s=100 * aperture_s, duration_s=(n + 0.25) * aperture_s)
+    readings = Model((noise,)).realise().average(np.arange(n + 300) * aperture_s, aperture_s).noise_V
+
+    assert np.count_nonzero(readings[:100]) == 0
+    assert readings[100 : n + 100].std() == pytest.approx(noise.sd(aperture_s), rel=5 / sqrt(2 * n))
+    ends = [
+        Model((noise,), seed).realise().average(np.array([(n + 100) * aperture_s]), aperture_s).noise_V[0]
+        for seed in range(2000)
+    ]
+    assert np.std(ends) == pytest.approx(noise.sd(aperture_s) / 2, rel=5 / sqrt(2 * 2000))
+
+
 def test_white_noise_is_made_from_the_scatter_of_readings():
     assert WhiteNoise.from_sd(sd_V=1e-4, aperture_s=0.02).sd(0.02) == pytest.approx(1e-4)
     assert WhiteNoise.from_sd(sd_V=1e-4, aperture_s=0.02).sd(0.08) == pytest.approx(0.5e-4)

@@ -89,6 +89,13 @@ def test_popcorn_noise_has_the_moments_of_a_two_state_markov_process():
     assert autocovariance(readings - readings.mean(), 1) == pytest.approx(expected, abs=5 * sqrt(correlated / N))
 
 
+def test_popcorn_noise_begins_in_either_state_by_its_share():
+    noise = PopcornNoise(step_V=1.0, dwell_low_s=3.0, dwell_high_s=1.0)
+    first = [noise.realise(np.random.default_rng(seed)).average(np.zeros(1), 1e-9)[0] for seed in range(2000)]
+
+    assert np.mean(first) == pytest.approx(0.25, abs=5 * sqrt(0.25 * 0.75 / 2000))
+
+
 def test_popcorn_noise_over_long_apertures_is_the_mean_over_the_short_ones_inside():
     noise = PopcornNoise(step_V=2.0, dwell_low_s=0.05, dwell_high_s=0.02)
     short, long = history(noise, 0.01, 0.01, 1000), history(noise, 0.1, 0.1, 100)
