@@ -1,0 +1,17 @@
+"""The critic: what the base model gets wrong about a record, what that is consistent with, what fixing it is worth."""
+
+from aemd.diagnose.catalogue import COVERED, NOT_COVERED
+from aemd.diagnose.engine import criticise, diagnose
+from aemd.diagnose.result import Diagnosis, Discrepancy, Finding, Gain, Value
+
+__all__ = [
+    "COVERED",
+    "NOT_COVERED",
+    "Diagnosis",
+    "Discrepancy",
+    "Finding",
+    "Gain",
+    "Value",
+    "criticise",
+    "diagnose",
+]

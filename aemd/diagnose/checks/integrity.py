@@ -1,0 +1,337 @@
+"""What is wrong with the readings themselves: lost, repeated, stuck, rounded, clipped, badly stamped.
+
+These run first, on the raw column, because what they find must not be explained by noise. Each null is an exact bound.
+Where it needs to know how predictable a reading is, it takes the innovation variance S of the base fit: given the past,
+no cell of a lattice of step q holds more than erf(q / sqrt(8 S)) of the next reading's probability.
+"""
+
+from math import erf, inf, log, log10, nan, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr, ndtr
+from scipy.stats import norm
+
+from aemd.diagnose.evidence import Defect
+from aemd.diagnose.result import Value
+from aemd.diagnose.series import OVERLOAD, Series
+
+__all__ = ["check_raw", "find_lattice"]
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_SURE = 1e-6
+"""p below which a defect is one. Far below the other checks' level, so that these never spend of it."""
+_COARSE = 0.3
+"""Lattice step in innovation deviations from which rounding is more than 0.7 % of the variance, and is reported."""
+_JITTER = 0.01
+"""Scatter of the stamps, in intervals, from which it is reported: at 1 % the fastest swing that 15 readings/s can
+follow is off by 3 % of its amplitude."""
+_CLOCK = 1e-4
+"""Deviation of the interval from the nominal one that is reported; a bench meter's timer keeps 1e-5."""
+
+
+def check_raw(series: Series, innovation_sd_V: float) -> list[Defect]:
+    """Return every defect of the readings.
+
+    Args:
+        series: the readings.
+        innovation_sd_V: of the base model's one-step prediction, V.
+    """
+    q_V = find_lattice(series.value_V[series.used])
+    found = [
+        missing_samples(series),
+        stuck_readings(series, q_V, innovation_sd_V),
+        replayed_block(series, q_V),
+        quantisation(series, q_V, innovation_sd_V),
+        saturation(series, q_V, innovation_sd_V),
+        timestamp_jitter(series),
+        clock_error(series),
+    ]
+    return [defect for defect in found if defect is not None]
+
+
+def exact(value: float, unit: str) -> Value:
+    """Return a value that is counted, not estimated."""
+    return Value(value, value, value, unit)
+
+
+def missing_samples(series: Series) -> Defect | None:
+    """Find steps of more than one interval: counted by the index, or seen in the stamps."""
+    jumps = (np.diff(series.index) if series.numbered else np.diff(series.slot)) - 1
+    lost, gaps = int(np.sum(jumps)), int(np.count_nonzero(jumps))
+    invalid = int(np.count_nonzero(~series.used & ((series.status & OVERLOAD) == 0)))
+    if lost + invalid == 0:
+        return None
+    known = "the readings' numbers" if series.numbered else "the time stamps"
+    return Defect(
+        cause="missing_samples",
+        p_value=0.0,
+        parameters={
+            "lost": exact(lost + invalid, ""),
+            "gaps": exact(gaps, ""),
+            "fraction": exact((lost + invalid) / (lost + series.index.size), ""),
+        },
+        experiment=f"{known} show it; look for a stalled host or a full buffer at the first gap, and for its period",
+        check="readings missing",
+        observed=lost + invalid,
+        expected=0,
+    )
+
+
+def find_lattice(values: Floats) -> float:
+    """Return the step of the lattice that all values lie on; 0 if there is none.
+
+    >>> find_lattice(np.array([0.3, 0.1, 0.7, 0.4, 0.2] * 20))
+    0.1
+    """
+    unique = np.unique(values)
+    if unique.size < 2:
+        return 0.0
+    steps = np.diff(unique)
+    resolution = np.spacing(np.abs(unique).max()) * 8
+    steps = steps[steps > resolution]
+    if steps.size == 0:
+        return 0.0
+    q = float(steps.min())
+    # Steps are whole multiples of the smallest, or of a divisor of it where it did not occur.
+    for divisor in (1, 2, 3, 4, 5, 6, 7, 8, 9, 10):
+        part = q / divisor
+        if part < 4 * resolution:
+            return 0.0
+        multiples = steps / part
+        if np.all(np.abs(multiples - np.rint(multiples)) * part < 0.02 * part + resolution):
+            return _round_step(part, unique)
+    return 0.0
+
+
+def _round_step(q: float, unique: Floats) -> float:
+    """Return q sharpened over the whole span, then its shortest decimal if that fits as well."""
+    counts = np.rint((unique - unique[0]) / q)
+    q = float((unique[-1] - unique[0]) / counts[-1]) if counts[-1] > 0 else q
+    short = float(f"{q:.3g}")
+    span = counts[-1] if counts[-1] > 0 else 1.0
+    return short if abs(short - q) * span < 0.1 * q else q
+
+
+def _tie_probability(q_V: float, innovation_sd_V: float) -> float:
+    """Return the most that the past leaves to any one value."""
+    return erf(q_V / sqrt(8) / innovation_sd_V) if q_V > 0 else 1e-9
+
+
+def _runs(values: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return where runs of equal values begin, and their lengths; NaN equals nothing."""
+    edges = np.flatnonzero(np.concatenate(([True], values[1:] != values[:-1], [True])))
+    return edges[:-1], np.diff(edges)
+
+
+def stuck_readings(series: Series, q_V: float, innovation_sd_V: float) -> Defect | None:
+    """Find runs of equal values too long for noise: P(any of n runs reaches m) <= n p_tie^(m - 1)."""
+    values = series.value_V
+    tie = _tie_probability(q_V, innovation_sd_V)
+    if tie > 0.9:  # the input hardly leaves its cell: nothing can be said
+        return None
+    begins, lengths = _runs(values)
+    limit = 1 + (log(_SURE) - log(values.size)) / log(tie)
+    stuck = lengths > max(limit, 2)
+    if not stuck.any():
+        return None
+    dropped = np.zeros(values.size, bool)
+    for begin, length in zip(begins[stuck], lengths[stuck], strict=True):
+        dropped[begin + 1 : begin + length] = True
+    longest = int(lengths.max())
+    return Defect(
+        cause="stuck_readings",
+        p_value=min(1.0, 10 ** max(log10(values.size) + (longest - 1) * log10(tie), -300)),
+        parameters={
+            "fraction": exact(float(dropped.mean()), ""),
+            "dwell_s": exact(float(lengths[stuck].mean()) * series.interval_s, "s"),
+            "time_s": exact(float(series.time_s[begins[stuck][0]]), "s"),
+        },
+        experiment="read the meter's memory directly: if its values change while the log's do not, the link repeats",
+        check="longest run of equal readings",
+        observed=longest,
+        expected=float(max(limit, 2)),
+        dropped=dropped,
+    )
+
+
+def replayed_block(series: Series, q_V: float) -> Defect | None:
+    """Find a stretch that occurs twice, value for value: P <= n^2 / 2 times the stretch's own probability.
+
+    Of a stretch only its changes count, each with the frequency it has in the record; stretches are compared by a
+    rolling hash of windows long enough that one chance match among all pairs has the probability _SURE.
+    """
+    values = series.value_V
+    n = values.size
+    changes = np.diff(np.nan_to_num(values))
+    if q_V > 0:
+        changes = np.rint(changes / q_V)
+    _, codes, counts = np.unique(changes, return_inverse=True, return_counts=True)
+    # A change of nothing counts for nothing: long runs of one value are another defect.
+    surprise = np.where(changes == 0, 0.0, -np.log(counts[codes] / codes.size))
+    need = -log(_SURE) + 2 * log(n)
+    typical = max(float(np.mean(surprise)), 1e-3)
+    width = int(np.ceil(1.5 * need / typical)) + 1
+    if width > n // 4:
+        return None
+    rng = np.random.default_rng(0)  # any numbers do: they only name the codes
+    names = rng.integers(1, 2**62, size=counts.size, dtype=np.uint64)
+    factor = np.uint64(0x9E3779B97F4A7C15)
+    with np.errstate(over="ignore"):
+        powers = np.cumprod(np.full(n, factor, np.uint64))
+        total = np.concatenate(([np.uint64(0)], np.cumsum(names[codes] * powers[: codes.size])))
+        inverse = np.uint64(pow(int(factor), -1, 2**64))
+        unpowers = np.cumprod(np.full(n, inverse, np.uint64))
+        hashes = (total[width:] - total[:-width]) * unpowers[: codes.size - width + 1]
+    weight = np.concatenate(([0.0], np.cumsum(surprise)))
+    rich = (weight[width:] - weight[:-width]) > need
+    order = np.argsort(hashes, kind="stable")
+    same = (hashes[order][1:] == hashes[order][:-1]) & rich[order][1:]
+    if not same.any():
+        return None
+    dropped = np.zeros(n, bool)
+    copies = order[1:][same]
+    originals = order[:-1][same]
+    for copy, original in zip(copies, originals, strict=True):
+        if np.array_equal(values[copy : copy + width + 1], values[original : original + width + 1]):
+            dropped[copy : copy + width + 1] = True
+    if not dropped.any():
+        return None
+    first = int(np.argmax(dropped))
+    at = int(copies[np.argmin(np.abs(copies - first))])
+    original = int(originals[np.argmin(np.abs(copies - first))])
+    length = int(np.argmin(np.concatenate((dropped[first:], [False]))))
+    return Defect(
+        cause="replayed_block",
+        p_value=float(np.exp(2 * log(n) - min(float(np.sum(surprise[first : first + length - 1])), 700))),
+        parameters={
+            "time_s": exact(float(series.time_s[first]), "s"),
+            "fraction": exact(float(dropped.mean()), ""),
+            "dwell_s": exact(length * series.interval_s, "s"),
+            "lag_s": exact(float(series.time_s[at] - series.time_s[original]), "s"),
+        },
+        experiment="number the readings at the meter (its memory's index) and look whether numbers come twice",
+        check="longest stretch that occurs twice, readings",
+        observed=length,
+        expected=width,
+        dropped=dropped,
+    )
+
+
+def quantisation(series: Series, q_V: float, innovation_sd_V: float) -> Defect | None:
+    """Find a lattice whose step is not small beside what is new in each reading."""
+    if q_V < _COARSE * innovation_sd_V:
+        return None
+    values = series.value_V[series.used]
+    distinct = np.unique(values).size
+    return Defect(
+        cause="quantisation",
+        p_value=float(10 ** max(-(values.size - distinct) * 3.0, -300)),
+        parameters={
+            "step_V": Value(q_V, q_V, q_V, "V"),
+            "offset_V": Value(float(values[0] % q_V), nan, nan, "V"),
+            "ratio": exact(q_V / innovation_sd_V, ""),
+        },
+        experiment="log one more digit, or read in binary: the lattice goes if it was the log's, not if the meter's",
+        check="lattice step in deviations of a reading's news",
+        observed=q_V / innovation_sd_V,
+        expected=_COARSE,
+    )
+
+
+def saturation(series: Series, q_V: float, innovation_sd_V: float) -> Defect | None:
+    """Find readings that pile up at an extreme, or that the meter flagged as overload.
+
+    Given that a reading with prediction at most c lies in the extreme cell or beyond, it lies in the cell with at most
+    the Gaussian hazard there; that none of k went beyond has the product of those probabilities.
+    """
+    values = series.value_V
+    overloads = int(np.count_nonzero(series.status & OVERLOAD))
+    cell = max(q_V, float(np.spacing(np.nanmax(np.abs(values)))) * 4)
+    best: tuple[float, str, float, int] | None = None
+    for side, signed in (("high", values), ("low", -values)):
+        extreme = float(np.nanmax(signed))
+        at = np.flatnonzero(signed >= extreme - 0.25 * cell)
+        if at.size < 3:
+            continue
+        # The reading before bounds the prediction well enough: clipped excursions come in runs.
+        before = signed[np.maximum(at - 1, 0)]
+        distance = np.clip((extreme - cell / 2 - np.nan_to_num(before, nan=extreme)) / innovation_sd_V, 0, 4)
+        beyond = log_ndtr(-(distance + cell / innovation_sd_V)) - log_ndtr(-distance)
+        inside = np.log(-np.expm1(np.minimum(beyond, -1e-12)))
+        log_p = log(values.size) + float(np.sum(inside)) - float(np.min(inside))  # one is there by definition
+        if best is None or log_p < best[0]:
+            best = log_p, side, extreme if side == "high" else -extreme, int(at.size)
+    if overloads:
+        level = best[2] if best is not None and best[0] < log(_SURE) else float(np.nanmax(np.abs(values)))
+        log_p, count = -inf, overloads
+    elif best is not None and best[0] < log(_SURE):
+        log_p, _, level, count = best
+    else:
+        return None
+    clipped = (values == level) | ((series.status & OVERLOAD) != 0)
+    return Defect(
+        cause="saturation",
+        p_value=float(np.exp(max(log_p, -690.0))) if log_p > -inf else 0.0,
+        parameters={
+            "level_V": exact(level, "V"),
+            "fraction": exact(count / values.size, ""),
+        },
+        experiment="take the next range for a minute: the readings go beyond the level if the range cut them",
+        check="readings at the extreme",
+        observed=count,
+        expected=2,
+        dropped=clipped,
+    )
+
+
+def timestamp_jitter(series: Series) -> Defect | None:
+    """Find stamps that scatter about the grid by more than the digits they are written with."""
+    grid = series.slot if not series.numbered else series.index - series.index[0]
+    slope, start = np.polyfit(grid, series.time_s, 1)
+    left = series.time_s - (start + slope * grid)
+    # Against a running mean, so that a clock that wanders is not taken for one that jitters.
+    jitter = np.diff(left)
+    sd = 1.4826 * float(np.median(np.abs(jitter - np.median(jitter)))) / sqrt(2)
+    plain = float(np.std(jitter)) / sqrt(2)
+    sd = plain if plain < 3 * sd else sd  # a clock that was set once is not scatter
+    digits = find_lattice(series.time_s)
+    rounding = digits / sqrt(12)
+    if sd < _JITTER * series.interval_s or sd < 2 * rounding:
+        return None
+    worst = float(np.abs(left).max())
+    sd = sqrt(max(sd**2 - rounding**2, 0.0))
+    error = sd * sqrt(1.5 / (2 * series.index.size))  # neighbouring differences share a stamp
+    return Defect(
+        cause="timestamp_jitter",
+        p_value=float(norm.sf(min(sd / max(rounding, 1e-12), 37.0))),
+        parameters={"sd_s": Value(sd, sd - 2 * error, sd + 2 * error, "s"), "worst_s": exact(worst, "s")},
+        experiment="let the meter's own timer pace and number the readings; stamps given by a host scatter as it does",
+        check="scatter of the time stamps about their grid, intervals",
+        observed=sd / series.interval_s,
+        expected=_JITTER,
+    )
+
+
+def clock_error(series: Series) -> Defect | None:
+    """Find an interval that is not the nominal one."""
+    if series.nominal_interval_s <= 0:
+        return None
+    grid = series.index - series.index[0]
+    slope, _ = np.polyfit(grid, series.time_s, 1)
+    left = series.time_s - np.polyval(np.polyfit(grid, series.time_s, 1), grid)
+    error = float(np.std(left)) * sqrt(12) / (grid[-1] * sqrt(grid.size)) / series.nominal_interval_s
+    ratio = float(slope) / series.nominal_interval_s
+    if abs(ratio - 1) < max(_CLOCK, 6 * error):
+        return None
+    return Defect(
+        cause="clock_error",
+        p_value=float(2 * ndtr(-min(abs(ratio - 1) / max(error, 1e-9), 37.0))),
+        parameters={"ratio": Value(ratio, ratio - 2 * error, ratio + 2 * error, "")},
+        experiment="time 1,000 readings against a second clock; ask the meter for the interval that it really keeps",
+        check="interval over the nominal one, minus 1",
+        observed=ratio - 1,
+        expected=_CLOCK,
+    )

@@ -1,0 +1,172 @@
+"""Narrow lines in the whitened residuals, and what could have made them.
+
+z is white if the model is right, so |sum z e^{-i w t}|^2 / n is exponential at each frequency, and its maximum over the
+band has Baluev's law. The amplitude and phase of the effect follow from a regression of z on the whitened cosine and
+sine: the filter's response does not have to be known in closed form.
+"""
+
+from dataclasses import dataclass
+from math import log, pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aemd.diagnose.evidence import Evidence, exceedance_of_peaks
+from aemd.diagnose.fit import Fit
+from aemd.diagnose.hypothesis import Data
+from aemd.diagnose.terms.lines import Sines, amplitude_cost, fold
+
+__all__ = ["Periodogram", "check_lines", "make_periodogram"]
+
+Floats = NDArray[np.float64]
+
+_PADDING = 4
+_MAINS_HZ = (50.0, 60.0)
+_WANDER_HZ = 0.05
+"""Half width within which a grid keeps its frequency; the continental grids keep to 0.05 Hz but for seconds a year."""
+_HARMONICS = (1, 2, 3, 4, 5, 6, 7)
+_HARMONIC_PRIOR = {1: 0.7, 2: 0.15, 3: 0.1, 4: 0.0125, 5: 0.0125, 6: 0.0125, 7: 0.0125}
+"""Odds that a mains line, seen alone, is that harmonic: the fundamental by stray coupling, the second by rectification,
+the third by saturated iron. A judgement, stated."""
+_JOINS = 6.0
+"""Power, in units of its mean, at which a harmonic is taken into the comb: 0.25 % by chance."""
+
+
+@dataclass(frozen=True, slots=True)
+class Periodogram:
+    """Of z, zero where a reading is missing; exponential with mean 1 at each frequency if the model is right."""
+
+    frequency_hz: Floats
+    power: Floats
+    cells: float
+    """Band times effective span: about the number of independent frequencies."""
+
+    def near(self, frequency_hz: float, width_hz: float) -> tuple[float, float]:
+        """Return frequency and power of the highest point within a width."""
+        step = self.frequency_hz[1]
+        low = max(int(np.floor((frequency_hz - width_hz) / step)), 0)
+        high = min(int(np.ceil((frequency_hz + width_hz) / step)) + 1, self.power.size)
+        if low >= high:
+            return frequency_hz, 0.0
+        at = low + int(np.argmax(self.power[low:high]))
+        return float(self.frequency_hz[at]), float(self.power[at])
+
+
+def make_periodogram(fit: Fit) -> Periodogram:
+    """Return the zero-padded periodogram of the residuals on the grid."""
+    data = fit.data
+    even = np.zeros(int(data.slot[-1]) + 1)
+    even[data.slot[data.used]] = fit.z[data.used]
+    length = 1 << int(np.ceil(np.log2(_PADDING * even.size)))
+    power = np.abs(np.fft.rfft(even, length)) ** 2 / data.n
+    power[0] = 0.0
+    power[-1] /= 2  # real there: chi-square of one degree
+    rate = 1 / data.interval_s
+    return Periodogram(
+        frequency_hz=np.asarray(np.fft.rfftfreq(length, data.interval_s), np.float64),
+        power=power,
+        cells=rate / 2 * even.size / rate * sqrt(pi / 3),
+    )
+
+
+def check_lines(fit: Fit, periodogram: Periodogram, line_frequency_hz: float | None) -> Evidence:
+    """Look for the strongest line."""
+    at = int(np.argmax(periodogram.power))
+    peak, frequency = float(periodogram.power[at]), float(periodogram.frequency_hz[at])
+    p_value = exceedance_of_peaks(peak, periodogram.cells)
+    terms = []
+    if p_value < 0.1:
+        frequency = _refine(fit, frequency)
+        terms = [_free_line(fit, frequency, periodogram)]
+        mains = _mains(fit, frequency, periodogram, line_frequency_hz)
+        if mains is not None:
+            terms.append(mains)
+    return Evidence(
+        check="strongest line in the residuals' spectrum, in units of its mean",
+        p_value=p_value,
+        observed=peak,
+        low=log(periodogram.cells) - log(-log(0.025)),
+        high=log(periodogram.cells) + 0.5 * log(log(periodogram.cells) + 4) - log(-log(0.975)),
+        terms=tuple(terms),
+    )
+
+
+def regress(fit: Fit, shapes: list[Floats]) -> tuple[Floats, float]:
+    """Return the amplitudes of shapes that best explain z, and half the sum of squares they take, nats."""
+    left = np.column_stack([fit.whitened(shape) for shape in shapes])
+    amplitudes, *_ = np.linalg.lstsq(left, fit.z, rcond=None)
+    return np.asarray(amplitudes, np.float64), float(0.5 * np.sum((left @ amplitudes) ** 2))
+
+
+def _wave(data: Data, frequency_hz: float) -> list[Floats]:
+    angle = 2 * np.pi * frequency_hz * data.t_s
+    return [np.cos(angle), np.sin(angle)]
+
+
+def _refine(fit: Fit, frequency_hz: float) -> float:
+    """Return the top of the parabola through three points of the periodogram a quarter of a cell apart."""
+    apart = 0.25 / fit.data.span_s
+    turn = np.exp(-2j * np.pi * frequency_hz * fit.data.t_s) * fit.z
+    spin = np.exp(-2j * np.pi * apart * fit.data.t_s)
+    low, middle, high = (float(abs(np.sum(turn * spin**k)) ** 2) for k in (-1, 0, 1))
+    bend = low - 2 * middle + high
+    shift = 0.5 * (low - high) / bend if bend < 0 else 0.0
+    return float(np.clip(frequency_hz + np.clip(shift, -1, 1) * apart, 0, 0.5 / fit.data.interval_s))
+
+
+def _free_line(fit: Fit, frequency_hz: float, periodogram: Periodogram) -> Sines:
+    data = fit.data
+    harmonics = [1]
+    for harmonic in _HARMONICS[1:]:
+        if harmonic * frequency_hz < 0.5 / data.interval_s:
+            _, power = periodogram.near(harmonic * frequency_hz, 0.5 * harmonic / data.span_s)
+            if power > _JOINS + 1.0:
+                harmonics.append(harmonic)
+    return _sines(fit, "periodic_interference", frequency_hz, 1.5, harmonics, log(periodogram.cells))
+
+
+def _mains(fit: Fit, frequency_hz: float, periodogram: Periodogram, line_frequency_hz: float | None) -> Sines | None:
+    """Return the mains whose folded harmonics explain the line best, if one can."""
+    data, rate = fit.data, 1 / fit.data.interval_s
+    best: tuple[float, Sines] | None = None
+    grids = _MAINS_HZ if line_frequency_hz is None else (line_frequency_hz,)
+    for grid in grids:
+        for harmonic in _HARMONICS:
+            side = grid * harmonic - rate * round(grid * harmonic / rate)
+            width = _WANDER_HZ * harmonic + 1 / data.span_s
+            if abs(abs(side) - frequency_hz) > width:
+                continue
+            # The frequency that folds exactly there, and its other harmonics that stand out as well.
+            true = (rate * round(grid * harmonic / rate) + np.copysign(frequency_hz, side)) / harmonic
+            present = [harmonic]
+            for other in _HARMONICS:
+                near = fold(other * true, rate)
+                if other == harmonic or near < 2 / data.span_s:
+                    continue
+                if any(abs(near - fold(h * true, rate)) < 2 / data.span_s for h in present):
+                    continue
+                _, power = periodogram.near(near, 0.5 * max(other / harmonic, 1) / data.span_s)
+                if power > _JOINS:
+                    present.append(other)
+            cells = 2 * _WANDER_HZ * data.span_s + 1
+            cost = log(cells) + log(len(grids)) - log(_HARMONIC_PRIOR[harmonic])
+            term = _sines(fit, "mains_alias", true, 1.5 / harmonic, sorted(present, key=lambda h: h != harmonic), cost)
+            worth = 2.0 * _JOINS * (len(present) - 1) - cost
+            if best is None or worth > best[0]:
+                best = worth, term
+    return None if best is None else best[1]
+
+
+def _sines(
+    fit: Fit, cause: str, frequency_hz: float, reach: float, harmonics: list[int], frequency_cost: float
+) -> Sines:
+    shapes = [shape for harmonic in harmonics for shape in _wave(fit.data, harmonic * frequency_hz)]
+    amplitudes, _ = regress(fit, shapes)
+    return Sines(
+        cause=cause,
+        frequency_hz=frequency_hz,
+        reach=reach,
+        harmonics=tuple(harmonics),
+        amplitudes=tuple(float(a) for a in amplitudes),
+        cost_nats=frequency_cost + amplitude_cost(2 * len(harmonics), fit.data.n),
+    )

@@ -1,0 +1,186 @@
+"""The critic: fit, check, name, add, again; then what each finding is worth.
+
+Checks decide whether there is anything (Holm over checks, 0.3 % in the first round, half as much in each further one).
+Joint refits decide what it is called. Held-out blocks decide what it is worth. None of the three serves for another.
+"""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from aemd.diagnose.catalogue import COVERED, EXPERIMENTS, NOT_COVERED
+from aemd.diagnose.checks.integrity import check_raw
+from aemd.diagnose.checks.residuals import check_all
+from aemd.diagnose.evidence import Defect, Evidence
+from aemd.diagnose.fit import Fit, fit_base, refit
+from aemd.diagnose.gain import HeldOut, measure_gain
+from aemd.diagnose.hypothesis import make_data
+from aemd.diagnose.intervals import covariance, describe
+from aemd.diagnose.naming import Named, name
+from aemd.diagnose.result import Diagnosis, Discrepancy, Finding, Gain, Verdict
+from aemd.diagnose.series import Series, load_series
+from aemd.errors import ConfigError
+
+__all__ = ["criticise", "diagnose"]
+
+Progress = Callable[[str], None]
+
+_LEVEL = 0.003
+"""Family-wise probability of any finding on a clean record, first round."""
+_ROUNDS = 6
+_LEAST_NATS = 4.0
+"""Log-likelihood that a term must add to be called an explanation: what a check sees and no term can use is
+`unexplained`."""
+
+
+def diagnose(
+    path: Path,
+    *,
+    model: Path | None = None,
+    line_frequency_hz: float | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Say what the base model gets wrong about a file.
+
+    Args:
+        path: an MCAP recording, or a table `time,value[,...]`, further columns being witnesses.
+        model: a model under criticism instead of the fitted base.
+        line_frequency_hz: of the mains, where it is known.
+        progress: called with a few words at each step.
+
+    Raises:
+        RecordingError: the file cannot be read or judged.
+        ConfigError: the model cannot be.
+    """
+    if model is not None:
+        raise ConfigError(f"{model}: a given model cannot be criticised yet; leave --model out, and the base is fitted")
+    return criticise(load_series(path), line_frequency_hz=line_frequency_hz, progress=progress)
+
+
+def criticise(series: Series, *, line_frequency_hz: float | None = None, progress: Progress | None = None) -> Diagnosis:
+    """Say what the base model gets wrong about a series; see `diagnose`."""
+    begun = time.perf_counter()
+    tell = progress or (lambda _: None)
+    tell("fitting the base model")
+    base = fit_base(make_data(series))
+    sd_V = float(np.sqrt(np.median(base.variance[base.data.used]))) * base.data.unit_V
+    tell("checking the readings themselves")
+    defects = check_raw(series, sd_V)
+    dropped = np.zeros(series.value_V.size, bool)
+    for defect in defects:
+        if defect.dropped is not None:
+            dropped |= defect.dropped
+    if (dropped & series.used).any():
+        base = fit_base(make_data(series, dropped))
+
+    fit, named, seen, left = base, list[tuple[Evidence, Named]](), list[Evidence](), list[Evidence]()
+    for number in range(_ROUNDS):
+        tell(f"checking the residuals, round {number + 1}")
+        evidence = check_all(fit, line_frequency_hz)
+        left = _significant(evidence, _LEVEL / 2**number)
+        seen = seen or left
+        if not left:
+            break
+        tell(f"fitting what could explain: {left[0].check}")
+        candidates = [term for item in left for term in item.terms]
+        found = name(fit, candidates, _LEAST_NATS)
+        if found is None:
+            break
+        named.append((left[0], found))
+        fit = found.fit
+    tell("measuring gains on held-out blocks")
+    findings = [_from_defect(defect, base) for defect in defects]
+    findings += _explained(fit, named)
+    if left:
+        findings.append(_unexplained(left, fit))
+    verdict: Verdict = "unexplained" if left else "explained" if findings else "nothing_found"
+    spread = covariance(fit)
+    return Diagnosis(
+        verdict=verdict,
+        n=int(np.count_nonzero(series.used)),
+        rate_hz=1 / series.interval_s,
+        findings=tuple(findings),
+        discrepancies=tuple(
+            [Discrepancy(d.check, d.observed, 0.0, d.expected, d.p_value) for d in defects]
+            + [Discrepancy(e.check, e.observed, e.low, e.high, e.p_value) for e in seen]
+        ),
+        base_model={"base": describe(base, 0, covariance(base))},
+        extended_model={
+            ("base" if number == 0 else f"{number}_{term.cause}"): describe(fit, number, spread)
+            for number, term in enumerate(fit.terms)
+        },
+        seconds=time.perf_counter() - begun,
+        covered=COVERED,
+        not_covered=NOT_COVERED,
+    )
+
+
+def _significant(evidence: list[Evidence], level: float) -> list[Evidence]:
+    """Return what is left by Holm's procedure, most surprising first."""
+    ranked = sorted(evidence, key=lambda item: item.p_value)
+    for number, item in enumerate(ranked):
+        if item.p_value * (len(ranked) - number) > level:
+            return ranked[:number]
+    return ranked
+
+
+def _from_defect(defect: Defect, base: Fit) -> Finding:
+    return Finding(
+        cause=defect.cause,
+        names=(defect.cause, *defect.rivals),
+        probability=1.0 if not defect.rivals else 0.5,
+        p_value=defect.p_value,
+        d_nats=0.0,
+        parameters=defect.parameters,
+        gain=Gain(0.0, 0.0, 0.0, 0.0),
+        rms_before=base.innovation_rms,
+        rms_after=base.innovation_rms,
+        experiment=defect.experiment,
+    )
+
+
+def _explained(fit: Fit, named: list[tuple[Evidence, Named]]) -> list[Finding]:
+    """Return a finding for each term, measured against the same model without it."""
+    if not named:
+        return []
+    held, spread = HeldOut(fit.data), covariance(fit)
+    with_all = held.score(fit.terms, fit.theta)
+    findings = []
+    for number, (evidence, found) in enumerate(named, start=1):
+        terms = [term for at, term in enumerate(fit.terms) if at != number]
+        start = np.concatenate([fit.parts_of(at) for at in range(len(fit.terms)) if at != number])
+        without = refit(terms, fit.data, start)
+        findings.append(
+            Finding(
+                cause=found.names[0],
+                names=found.names,
+                probability=found.probability,
+                p_value=evidence.p_value,
+                d_nats=max(fit.log_likelihood - without.log_likelihood - 0.5 * found.term.start.size, 0.0),
+                parameters=describe(fit, number, spread),
+                gain=measure_gain(held.score(without.terms, without.theta), with_all, fit.data.n),
+                rms_before=without.innovation_rms,
+                rms_after=fit.innovation_rms,
+                experiment=EXPERIMENTS.get(found.names[0], ""),
+            )
+        )
+    return findings
+
+
+def _unexplained(left: list[Evidence], fit: Fit) -> Finding:
+    nearest = next((term.cause for item in left for term in item.terms), "none of the catalogue")
+    return Finding(
+        cause="unexplained",
+        names=("unexplained",),
+        probability=1.0,
+        p_value=left[0].p_value,
+        d_nats=0.0,
+        parameters={},
+        gain=Gain(0.0, 0.0, 0.0, 0.0),
+        rms_before=fit.innovation_rms,
+        rms_after=fit.innovation_rms,
+        experiment=f"{left[0].check}: looks most like {nearest}, which does not explain it; record again"
+        " to see it twice",
+    )

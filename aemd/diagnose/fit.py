@@ -1,0 +1,261 @@
+"""Maximum likelihood: starts from the spectrum, then the exact filter; and what is left of the readings."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import log, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.special import ndtri
+
+from aemd.diagnose.hypothesis import Base, Data, Parts, Term, base_box, base_start_with_shocks
+from aemd.diagnose.kernels import log_densities, predict, whiten
+
+__all__ = ["Fit", "fit_base", "refit", "residuals", "score_log_likelihood"]
+
+Floats = NDArray[np.float64]
+
+_IMPOSSIBLE = 1e9  # nats a reading that what cannot be computed costs
+_LONGEST_STEP = 1.5  # of any free number at once; most are logarithms
+_CONVERGED = 3e-3  # nats that are not worth another step
+_DIFFERENCE = 1e-5  # of a free number, for the derivatives
+_SHOCK_GAIN = 6.0  # nats that three more numbers must bring; half of chi-square(3) at 0.7 %
+_SHORT = 5_000  # readings below which likelihoods have several tops, and one more start is tried
+_LONG = 200_000  # readings beyond which the mixture is first fitted to a part
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A fitted hypothesis and what it leaves; shapes (n,)."""
+
+    data: Data
+    terms: tuple[Term, ...]
+    """The base first."""
+    theta: Floats
+    """Free numbers of all terms, one after another."""
+    log_likelihood: float
+    """Of the scaled readings."""
+    z: Floats
+    """Standard normal residuals; 0 where a reading is not used."""
+    predicted: Floats
+    variance: Floats
+    each: Floats
+    gains: Floats
+    states: Floats
+
+    def parts_of(self, number: int) -> Floats:
+        """Return the free numbers of one term."""
+        return split(self.terms, self.theta)[number]
+
+    @property
+    def base(self) -> Base:
+        """The base as fitted here."""
+        base = self.terms[0]
+        assert isinstance(base, Base)  # noqa: S101 - by construction
+        return Base(start=self.parts_of(0), shocks=base.shocks, box=base.box)
+
+    def whitened(self, template: Floats) -> Floats:
+        """Return how an effect of that shape would show in z, per unit of it, shape (n,)."""
+        left = whiten(np.ascontiguousarray(template), self.data.step_s, self.states, self.gains, self.data.used)
+        return np.asarray(np.where(self.data.used, left / np.sqrt(self.variance), 0.0))
+
+    @property
+    def innovation_rms(self) -> float:
+        """Root mean square of reading minus prediction, V."""
+        used = self.data.used
+        return float(np.sqrt(np.mean((self.data.y - self.predicted)[used] ** 2)) * self.data.unit_V)
+
+
+def split(terms: Sequence[Term], theta: Floats) -> list[Floats]:
+    """Return each term's free numbers."""
+    return np.split(theta, np.cumsum([term.start.size for term in terms])[:-1])
+
+
+def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[Any, ...]:
+    """Return the filter's arguments after the data."""
+    parts = Parts(np.zeros(data.y.size), np.zeros(data.y.size))
+    for term, numbers in zip(terms, split(terms, theta), strict=True):
+        term.add(numbers, data, parts)
+    return parts.mean, parts.noise_var, np.array(parts.states, np.float64), parts.shocks, parts.extras
+
+
+def score_log_likelihood(terms: Sequence[Term], theta: Floats, data: Data) -> float:
+    """Return the log-likelihood of the scaled readings."""
+    return float(densities(terms, theta, data).sum())
+
+
+def climb(terms: Sequence[Term], start: Floats, data: Data, iterations: int = 40) -> tuple[Floats, float]:
+    """Return the free numbers of a local maximum of the likelihood, and its value.
+
+    Each step is the score over the outer product of the readings' own scores (Berndt, Hall, Hall and Hausman 1974),
+    damped as Levenberg and Marquardt damp least squares; the scores are differences of the readings' log densities, so
+    a step costs one pass of the filter per free number.
+    """
+    low, high = np.array([bound for term in terms for bound in term.bounds], np.float64).T
+    theta = np.clip(start, low, high)
+    here = densities(terms, theta, data)
+    value, damping = float(here.sum()), 1e-3
+    for _ in range(iterations):
+        scores = readings_scores(terms, theta, data, here, high)
+        gradient, curvature = scores.sum(axis=0), scores.T @ scores
+        pinned = ((theta <= low) & (gradient < 0)) | ((theta >= high) & (gradient > 0))
+        gradient[pinned] = 0.0
+        curvature[pinned], curvature[:, pinned] = 0.0, 0.0
+        scale = np.diag(curvature) + 1e-6
+        promised = 0.0
+        while damping < 1e6:
+            step = np.linalg.solve(curvature + np.diag(damping * scale), gradient)
+            step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-12))
+            trial = np.clip(theta + step, low, high)
+            promised = float(gradient @ (trial - theta))
+            there = densities(terms, trial, data)
+            if float(there.sum()) > value:
+                break
+            damping *= 10.0
+            if promised < _CONVERGED:
+                return theta, value
+        else:
+            return theta, value
+        gained = float(there.sum()) - value
+        theta, here, value, damping = trial, there, value + gained, max(damping / 10.0, 1e-7)
+        if gained < _CONVERGED and promised < 10 * _CONVERGED:
+            break
+    return theta, value
+
+
+def densities(terms: Sequence[Term], theta: Floats, data: Data) -> Floats:
+    """Return the log density of each scaled reading, shape (n,)."""
+    each = log_densities(data.y, data.used, data.step_s, *assemble(terms, theta, data))
+    return each if np.isfinite(each).all() else np.full(each.size, -_IMPOSSIBLE)
+
+
+def readings_scores(terms: Sequence[Term], theta: Floats, data: Data, here: Floats, high: Floats) -> Floats:
+    """Return the derivative of each reading's log density by each free number, shape (n, k)."""
+    scores = np.empty((here.size, theta.size))
+    for number in range(theta.size):
+        aside = theta.copy()
+        width = _DIFFERENCE if theta[number] + _DIFFERENCE <= high[number] else -_DIFFERENCE
+        aside[number] += width
+        scores[:, number] = (densities(terms, aside, data) - here) / width
+    return scores
+
+
+def residuals(terms: Sequence[Term], theta: Floats, data: Data) -> Fit:
+    """Return the fit with these free numbers and what it leaves."""
+    arguments = assemble(terms, theta, data)
+    each, z, predicted, variance, gains = predict(data.y, data.used, data.step_s, *arguments)
+    return Fit(
+        data=data,
+        terms=tuple(terms),
+        theta=theta,
+        log_likelihood=float(np.sum(each)),
+        z=z,
+        predicted=predicted,
+        variance=variance,
+        each=each,
+        gains=gains,
+        states=arguments[2],
+    )
+
+
+def refit(terms: Sequence[Term], data: Data, start: Floats | None = None) -> Fit:
+    """Fit all terms together, from their starts."""
+    theta = np.concatenate([term.start for term in terms]) if start is None else start
+    theta, _ = climb(terms, theta, data)
+    return residuals(terms, theta, data)
+
+
+def fit_base(data: Data) -> Fit:
+    """Fit the base model: without shocks from the spectrum's best starts, then with shocks if they earn their keep."""
+    box = base_box(data)
+    best, top = np.empty(0), -np.inf
+    for start in _spectral_starts(data)[: 3 if data.n < _SHORT else 2]:
+        theta, value = climb([Base(start, shocks=False, box=box)], start, data)
+        if value > top:
+            best, top = theta, value
+    plain = Base(best, shocks=False, box=box)
+    fit = residuals([plain], best, data)
+    shocked = _with_shocks(fit)
+    return fit if shocked is None or shocked.log_likelihood < fit.log_likelihood + _SHOCK_GAIN else shocked
+
+
+def _with_shocks(fit: Fit) -> Fit | None:
+    """Return the best fit with shocks, if the residuals of one without ask for any."""
+    data, used = fit.data, fit.data.used
+    z = fit.z[used]
+    width = 1.4826 * float(np.median(np.abs(z)))
+    out = np.abs(z) > -ndtri(0.005 / z.size) * width  # one clean record in a hundred has one
+    kurtosis = float(np.mean((z / z.std()) ** 4)) - 3
+    if not out.any() and kurtosis < 4 * sqrt(24 / z.size):
+        return None
+    # Shocks widened the noise of the fit without them; the core of its residuals tells by how much.
+    theta = fit.theta.copy()
+    theta[[1, 3, 4]] += log(min(width, 1.0))
+    core = sqrt(float(np.median(fit.variance[used]))) * width
+    large = max(float(np.std(z[out])) / width * core if out.any() else 0.0, 3 * core)
+    rate = max(int(np.count_nonzero(out)), 1) / data.span_s
+    some = data if data.n <= _LONG else data.only(np.arange(data.y.size) < _LONG)
+    starts = [
+        base_start_with_shocks(data, theta, rate * more, large, decay_steps * data.interval_s)
+        for decay_steps in (0.3, 2.0, 6.0, 20.0)
+        for more in (1.0, 4.0)
+    ]
+    starts.sort(key=lambda base: -score_log_likelihood([base], base.start, some))
+    tried = [climb([base], base.start, some, iterations=25) for base in starts[:2]]
+    found, _ = max(tried, key=lambda item: item[1])
+    if some is not data:
+        found, _ = climb([starts[0]], found, data)
+    return residuals([starts[0]], found, data)
+
+
+def _spectral_starts(data: Data) -> list[Floats]:
+    """Return starts for the base, best first: pairs of time constants, their levels by weighted least squares.
+
+    Whittle's approximation on averaged bins of the periodogram; it judges nothing, it only says where to begin.
+    """
+    slots = data.slot[data.used]
+    even = np.interp(np.arange(slots[-1] + 1), slots, data.y[data.used])
+    step = data.interval_s
+    n = even.size
+    line = np.linspace(even[: max(n // 20, 1)].mean(), even[-max(n // 20, 1) :].mean(), n)  # what leaks the most
+    taper = np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2
+    power = np.abs(np.fft.rfft((even - line) * taper))[1:] ** 2 / np.sum(taper**2) * step  # two-sided, units^2 s
+    f = np.fft.rfftfreq(n, step)[1:]
+    edges = np.unique(np.geomspace(1, f.size + 1, 61).astype(int)) - 1
+    counts = np.diff(edges)
+    bins = np.add.reduceat(power, edges[:-1]) / counts
+    centre = np.add.reduceat(f, edges[:-1]) / counts
+    counts = counts * 0.5  # the taper correlates neighbours
+    taus = np.geomspace(step, 3 * data.span_s, 12)
+    shapes = [_markov_spectrum(centre, tau, step) for tau in taus]
+    white = np.full(centre.size, step)
+    found: list[tuple[float, Floats]] = []
+    typical = max(data.span_s, step)
+    for fast, slow in combinations(range(taus.size), 2):
+        design = np.column_stack((shapes[fast], shapes[slow], white))
+        model = bins.copy()
+        levels = np.ones(3)
+        for _ in range(4):
+            weight = np.sqrt(counts) / np.maximum(model, 1e-12 * bins.max())
+            levels, _ = nnls(design * weight[:, None], bins * weight)
+            model = np.maximum(design @ levels, 1e-9 * bins.max())
+        cost = float(np.sum(counts * (np.log(model) + bins / model)))
+        rate_s, rate_d = (sqrt(max(level, 1e-8 / typical)) for level in levels[:2])
+        noise = sqrt(max(levels[2], 1e-3))
+        found.append((cost, np.array([log(taus[fast]), log(rate_s), log(taus[slow]), log(rate_d), log(noise), 0.0])))
+    found.sort(key=lambda item: item[0])
+    kept: list[Floats] = []
+    for _, theta in found:  # starts that differ
+        if all(np.abs(theta[[0, 2]] - other[[0, 2]]).max() > 1.5 for other in kept):
+            kept.append(theta)
+    return kept
+
+
+def _markov_spectrum(f: Floats, tau_s: float, step_s: float) -> Floats:
+    """Return the two-sided spectrum of a sampled first-order process of unit rate, s (units^2 s for rate 1)."""
+    phi = np.exp(-step_s / tau_s)
+    sd2 = tau_s / 2
+    return np.asarray(sd2 * step_s * (1 - phi**2) / (1 - 2 * phi * np.cos(2 * np.pi * f * step_s) + phi**2))

@@ -1,0 +1,210 @@
+"""A hypothesis: the base model and the terms added to it, each a function from free numbers to what the filter takes.
+
+The free numbers of a term are unbounded or boxed reals (logarithms of what is positive), and the readings are centred
+and scaled, so that one optimiser fits them all. What a user reads (volts, seconds) is made from them at the end.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import exp, log, sqrt
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aemd.diagnose.kernels import MARKOV
+from aemd.diagnose.series import Series
+
+__all__ = ["Base", "Data", "Parameter", "Parts", "Term", "base_start_with_shocks", "make_data"]
+
+Floats = NDArray[np.float64]
+Bounds = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Data:
+    """What is fitted: scaled readings on the grid; shapes (n,)."""
+
+    y: Floats
+    """(value - origin) / unit; 0 where not used."""
+    used: NDArray[np.bool_]
+    step_s: Floats
+    t_s: Floats
+    """Time on the grid, from 0."""
+    slot: NDArray[np.int64]
+    interval_s: float
+    origin_V: float
+    unit_V: float
+    witnesses: Mapping[str, Floats] = field(default_factory=dict)
+
+    @property
+    def n(self) -> int:
+        """Readings that are used."""
+        return int(np.count_nonzero(self.used))
+
+    @property
+    def span_s(self) -> float:
+        """From the first reading to the last, s."""
+        return float(self.t_s[-1] + self.interval_s)
+
+    def only(self, used: NDArray[np.bool_]) -> "Data":
+        """Return the same with fewer readings used."""
+        return Data(
+            self.y,
+            self.used & used,
+            self.step_s,
+            self.t_s,
+            self.slot,
+            self.interval_s,
+            self.origin_V,
+            self.unit_V,
+            self.witnesses,
+        )
+
+
+def make_data(series: Series, dropped: NDArray[np.bool_] | None = None) -> Data:
+    """Scale a series; readings in `dropped` are kept out."""
+    used = series.used if dropped is None else series.used & ~dropped
+    kept = series.value_V[used]
+    origin = float(np.median(kept))
+    spread = float(np.median(np.abs(np.diff(kept)))) * 1.05  # sd of white noise whose differences have that median
+    unit = spread if spread > 0 else float(np.std(kept))
+    step_s = series.step_s
+    return Data(
+        y=np.where(used, (series.value_V - origin) / unit, 0.0),
+        used=used,
+        step_s=step_s,
+        t_s=np.cumsum(step_s) - step_s[0],
+        slot=series.slot,
+        interval_s=series.interval_s,
+        origin_V=origin,
+        unit_V=unit,
+        witnesses=series.witnesses,
+    )
+
+
+@dataclass(slots=True)
+class Parts:
+    """What the filter takes, while it is being put together."""
+
+    mean: Floats
+    noise_var: Floats
+    states: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
+    shocks: Floats = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
+    extras: Floats = field(default_factory=lambda: np.zeros(4))
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A number for the user, as a function of a term's free numbers."""
+
+    name: str
+    unit: str
+    value: Callable[[Floats], float]
+    positive: bool = True
+    """Whether its interval is made on a logarithmic scale."""
+
+
+class Term(Protocol):
+    """One mechanism as the filter sees it."""
+
+    @property
+    def cause(self) -> str:
+        """Identifier of the mechanism."""
+
+    @property
+    def start(self) -> Floats:
+        """Free numbers to begin the fit with."""
+
+    @property
+    def bounds(self) -> Sequence[Bounds]:
+        """Of each free number."""
+
+    @property
+    def cost_nats(self) -> float:
+        """What its freedom costs where it is compared with rivals; see naming."""
+
+    def add(self, theta: Floats, data: Data, parts: Parts) -> None:
+        """Put the term, with these free numbers, into the parts."""
+
+    def parameters(self, data: Data) -> Sequence[Parameter]:
+        """Return what is reported of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Base:
+    """First-order Markov signal and internal drift, white noise, a level, and shocks where there are any.
+
+    Free numbers: log tau_s, log rate_s, log tau_d, log rate_d, log white, level; with shocks: log rate, log sd, log
+    decay. Rates in units per root second.
+    """
+
+    start: Floats
+    shocks: bool
+    box: tuple[Bounds, ...]
+    cause: str = "base"
+    cost_nats: float = 0.0
+
+    @property
+    def bounds(self) -> Sequence[Bounds]:
+        """Of each free number."""
+        return self.box
+
+    def add(self, theta: Floats, data: Data, parts: Parts) -> None:  # noqa: ARG002 - a Term's
+        """Put signal, drift, noise, level and shocks into the parts."""
+        for tau, rate in ((exp(theta[0]), exp(theta[1])), (exp(theta[2]), exp(theta[3]))):
+            parts.states.append((MARKOV, tau, 0.0, rate, rate * sqrt(tau / 2), 1.0))
+        parts.noise_var += exp(2 * theta[4])
+        parts.mean += theta[5]
+        if self.shocks:
+            parts.shocks = np.array([exp(theta[6]), exp(2 * theta[7]), float(len(parts.states))])
+            parts.states.append((MARKOV, exp(theta[8]), 0.0, 0.0, 0.0, 1.0))
+
+    def parameters(self, data: Data) -> Sequence[Parameter]:
+        """Return time constants, deviations, rates and the level in volts."""
+        unit = data.unit_V
+        found = [
+            Parameter("signal_tau_s", "s", lambda v: exp(v[0])),
+            Parameter("signal_rate_V_per_rt_s", "V/rt s", lambda v: exp(v[1]) * unit),
+            Parameter("drift_tau_s", "s", lambda v: exp(v[2])),
+            Parameter("drift_rate_V_per_rt_s", "V/rt s", lambda v: exp(v[3]) * unit),
+            Parameter("white_sd_V", "V", lambda v: exp(v[4]) * unit),
+            Parameter("level_V", "V", lambda v: v[5] * unit + data.origin_V, positive=False),
+        ]
+        if self.shocks:
+            found += [
+                Parameter("shock_rate_per_s", "1/s", lambda v: exp(v[6])),
+                Parameter("shock_sd_V", "V", lambda v: exp(v[7]) * unit),
+                Parameter("shock_decay_s", "s", lambda v: exp(v[8])),
+            ]
+        return found
+
+
+def base_box(data: Data) -> tuple[Bounds, ...]:
+    """Return the bounds of the base's first six free numbers."""
+    step, span = data.interval_s, data.span_s
+    rate = (log(1e-5 / sqrt(span)), log(1e4 / sqrt(step)))
+    reach = 10 * float(np.ptp(data.y[data.used]))
+    return (
+        (log(0.3 * step), log(span)),
+        rate,
+        (log(3 * step), log(1e3 * span)),  # beyond, it is a random walk that starts anywhere
+        rate,
+        (log(1e-3), log(1e4)),
+        (-reach, reach),
+    )
+
+
+def base_start_with_shocks(data: Data, theta: Floats, rate_per_s: float, sd: float, decay_s: float) -> Base:
+    """Return the base with shocks, beginning from the free numbers of one without."""
+    step, span = data.interval_s, data.span_s
+    return Base(
+        start=np.concatenate((theta[:6], [log(rate_per_s), log(sd), log(decay_s)])),
+        shocks=True,
+        box=(
+            *base_box(data),
+            (log(0.1 / span), log(0.5 / step)),
+            (log(0.3), log(1e6)),
+            (log(0.2 * step), log(max(0.1 * span, step))),
+        ),
+    )

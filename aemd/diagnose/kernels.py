@@ -1,0 +1,350 @@
+"""The exact likelihood of a sum of Markov processes in white noise, with shocks as a mixture inside the filter.
+
+Readings y_k at steps h_k obey
+
+    y_k = mean_k + H x_k + noise_k,   x_k = F(h_k) x_{k-1} + process noise,
+
+where x stacks first-order processes, swinging pairs and short memories. With shocks, each step has two hypotheses, a
+jump of variance A^2 in the shock's state or none; with outliers, each reading has a further one, of a larger noise. The
+filter keeps one Gaussian: the mixture's mean and covariance. Every update moves the mean along one direction per
+hypothesis, so collapsing costs one outer product.
+
+Besides the log-likelihood the kernel returns for each reading what the checks are made of: the predicted mean, the
+variance of the undisturbed hypothesis, and the probability integral transform of the reading under the predicted
+mixture as a standard normal z. If the model is right, z is a sequence of independent N(0, 1).
+"""
+
+from math import cos, erfc, exp, log, pi, sin, sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+__all__ = ["MARKOV", "PAIR", "PAIR_SECOND", "PREVIOUS", "WHITE", "log_densities", "predict", "whiten"]
+
+Floats = NDArray[np.float64]
+
+# Kinds of a state, column 0 of the table of states; its other columns are tau_s, omega_rad_per_s, rate (standard
+# deviation for all but MARKOV), standard deviation before the first reading, weight in the reading.
+MARKOV = 0
+"""dx = -x/tau dt + rate dW; tau may be infinite."""
+PAIR = 1
+"""First of two that swing into each other at omega and decay with tau; the rate is the stationary deviation."""
+PAIR_SECOND = 2
+"""The other one."""
+WHITE = 3
+"""Drawn anew at each reading."""
+PREVIOUS = 4
+"""What the state before it in the table was at the reading before."""
+
+_MOST = 16  # states; fixed, so that the work space lives on the stack of one call
+
+
+@njit(cache=True)
+def _transition(step_s: float, states: Floats, keep: Floats, turn: Floats, noise: Floats) -> None:
+    """Fill what a step does to each state: factor, coupling to its partner, variance added."""
+    for i in range(states.shape[0]):
+        kind, tau, omega, rate = states[i, 0], states[i, 1], states[i, 2], states[i, 3]
+        turn[i] = 0.0
+        if kind == MARKOV:
+            a = step_s / tau
+            keep[i] = exp(-a)
+            noise[i] = rate * rate * step_s * (1.0 if a < 1e-9 else (1.0 - exp(-2.0 * a)) / (2.0 * a))
+        elif kind in (PAIR, PAIR_SECOND):
+            fade = exp(-step_s / tau)
+            keep[i] = fade * cos(omega * step_s)
+            turn[i] = fade * sin(omega * step_s)
+            noise[i] = rate * rate * (1.0 - fade * fade)
+        elif kind == WHITE:
+            keep[i] = 0.0
+            noise[i] = rate * rate
+        else:
+            keep[i] = 0.0
+            turn[i] = 1.0
+            noise[i] = 0.0
+
+
+@njit(cache=True)
+def _advance_vector(states: Floats, keep: Floats, turn: Floats, x: Floats) -> None:
+    """Apply the step to a vector, in place."""
+    i = states.shape[0] - 1
+    while i >= 0:
+        kind = states[i, 0]
+        if kind == PAIR_SECOND:
+            first, second = x[i - 1], x[i]
+            x[i - 1] = keep[i - 1] * first + turn[i - 1] * second
+            x[i] = keep[i] * second - turn[i] * first
+            i -= 2
+        elif kind == PREVIOUS:
+            x[i] = x[i - 1]
+            i -= 1
+        else:
+            x[i] *= keep[i]
+            i -= 1
+
+
+@njit(cache=True)
+def _filter(
+    y: Floats,
+    used: NDArray[np.bool_],
+    step_s: Floats,
+    mean: Floats,
+    noise_var: Floats,
+    states: Floats,
+    shocks: Floats,
+    extras: Floats,
+    each: Floats,
+    cdf: Floats,
+    predicted: Floats,
+    variance: Floats,
+    gains: Floats,
+) -> float:
+    """Run the filter; see `log_densities` and `predict` for the arguments.
+
+    `shocks` is (rate per s, variance of the jump, index of the shock's state or -1). `extras` is (variance per squared
+    prediction, quadratic coefficient, probability of an outlier, its added variance). `each` and the arrays after it
+    are filled if they have the readings' length, and left alone if they are empty.
+    """
+    m, n = states.shape[0], y.size
+    keep, turn, noise = np.zeros(_MOST), np.zeros(_MOST), np.zeros(_MOST)
+    x, p, column, work = np.zeros(m), np.zeros((m, m)), np.zeros(m), np.zeros(m)
+    before = np.zeros((m, m))
+    for i in range(m):
+        p[i, i] = states[i, 4] ** 2
+    shock_at = int(shocks[2])
+    diagonal = True
+    for i in range(m):
+        if states[i, 0] != MARKOV:
+            diagonal = False
+    plain = shock_at < 0 and extras[0] == 0.0 and extras[2] == 0.0
+    frozen, last_step, s_frozen, log_s, last_noise = False, -1.0, 0.0, 0.0, -1.0
+    total = 0.0
+    root_two_pi = 0.5 * log(2.0 * pi)
+    for k in range(n):
+        h = step_s[k]
+        if h != last_step:
+            _transition(h, states, keep, turn, noise)
+            last_step = h
+            frozen = False
+        if k > 0:
+            if diagonal:
+                for i in range(m):
+                    x[i] *= keep[i]
+            else:
+                _advance_vector(states, keep, turn, x)
+            if not frozen:
+                if diagonal:
+                    for i in range(m):
+                        for j in range(i + 1):
+                            p[i, j] *= keep[i] * keep[j]
+                            p[j, i] = p[i, j]
+                        p[i, i] += noise[i]
+                else:
+                    for j in range(m):
+                        for i in range(m):
+                            work[i] = p[i, j]
+                        _advance_vector(states, keep, turn, work)
+                        for i in range(m):
+                            p[i, j] = work[i]
+                    for i in range(m):
+                        for j in range(m):
+                            work[j] = p[i, j]
+                        _advance_vector(states, keep, turn, work)
+                        for j in range(m):
+                            p[i, j] = work[j]
+                    for i in range(m):
+                        p[i, i] += noise[i]
+        jump = 1.0 - exp(-shocks[0] * h) if shock_at >= 0 and k > 0 else 0.0
+        state = 0.0
+        for i in range(m):
+            state += states[i, 5] * x[i]
+        guess = mean[k] + state + extras[1] * state * state
+        r = noise_var[k] + extras[0] * state * state
+        if predicted.size:
+            predicted[k] = guess
+        if frozen and r == last_noise:
+            s = s_frozen
+        else:
+            if frozen:
+                frozen = False
+            s = r
+            for i in range(m):
+                c = 0.0
+                for j in range(m):
+                    c += states[j, 5] * p[i, j]
+                column[i] = c
+                s += states[i, 5] * c
+            log_s = 0.5 * log(s)
+        if variance.size:
+            variance[k] = s
+        if not used[k]:
+            frozen = False
+            if gains.size:
+                for i in range(m):
+                    gains[k, i] = 0.0
+            if shock_at >= 0:
+                p[shock_at, shock_at] += jump * shocks[1]
+            continue
+        e = y[k] - guess
+        if plain:
+            density = -0.5 * e * e / s - log_s - root_two_pi
+            total += density
+            if each.size:
+                each[k] = density
+            if cdf.size:
+                cdf[k] = e / sqrt(s)
+            for i in range(m):
+                x[i] += column[i] / s * e
+                if gains.size:
+                    gains[k, i] = column[i] / s
+            if not frozen:
+                moved = 0.0
+                for i in range(m):
+                    for j in range(i + 1):
+                        p[i, j] -= column[i] * column[j] / s
+                        p[j, i] = p[i, j]
+                        moved = max(moved, abs(p[i, j] - before[i, j]) / s)
+                        before[i, j] = p[i, j]
+                if moved < 1e-13:
+                    frozen, s_frozen, last_noise = True, s, r
+            continue
+        # Up to four hypotheses: a jump or none, an outlier or none.
+        outlier = extras[2]
+        weights_total, top = 0.0, -1e300
+        w0 = w1 = w2 = 0.0
+        s1, s2 = s + (shocks[1] * states[shock_at, 5] ** 2 if shock_at >= 0 else 0.0), s + extras[3]
+        l0 = log(max((1.0 - jump) * (1.0 - outlier), 1e-300)) - 0.5 * e * e / s - log_s
+        l1 = log(jump) - 0.5 * e * e / s1 - 0.5 * log(s1) if jump > 0.0 else -1e300
+        l2 = log(outlier) - 0.5 * e * e / s2 - 0.5 * log(s2) if outlier > 0.0 else -1e300
+        top = max(l0, l1, l2)
+        w0, w1, w2 = exp(l0 - top), exp(l1 - top), exp(l2 - top)
+        weights_total = w0 + w1 + w2
+        density = top + log(weights_total) - root_two_pi
+        total += density
+        if each.size:
+            each[k] = density
+        w0, w1, w2 = w0 / weights_total, w1 / weights_total, w2 / weights_total
+        if cdf.size:
+            tail = 0.5 * ((1.0 - jump) * (1.0 - outlier)) * erfc(abs(e) / sqrt(2.0 * s))
+            left = (1.0 - jump) * (1.0 - outlier)
+            if jump > 0.0:
+                tail += 0.5 * jump * erfc(abs(e) / sqrt(2.0 * s1))
+                left += jump
+            if outlier > 0.0:
+                tail += 0.5 * outlier * erfc(abs(e) / sqrt(2.0 * s2))
+                left += outlier
+            cdf[k] = max(tail / left, 1e-300) * (1.0 if e >= 0 else -1.0)
+        # Gains of the hypotheses; that of a jump sees the covariance with the jump in it.
+        a2 = shocks[1] if shock_at >= 0 else 0.0
+        for i in range(m):
+            work[i] = (w0 / s + w2 / s2) * column[i] + w1 / s1 * column[i]
+        if shock_at >= 0:
+            work[shock_at] += w1 / s1 * a2 * states[shock_at, 5]
+        for i in range(m):
+            for j in range(i + 1):
+                k0i, k0j = column[i] / s, column[j] / s
+                c1i, c1j = column[i], column[j]
+                if i == shock_at:
+                    c1i += a2 * states[shock_at, 5]
+                if j == shock_at:
+                    c1j += a2 * states[shock_at, 5]
+                k1i, k1j = c1i / s1, c1j / s1
+                k2i, k2j = column[i] / s2, column[j] / s2
+                spread = w0 * k0i * k0j + w1 * k1i * k1j + w2 * k2i * k2j - work[i] * work[j]
+                value = p[i, j] - w0 * column[i] * k0j - w2 * column[i] * k2j - w1 * c1i * k1j + spread * e * e
+                if i == shock_at and j == shock_at:
+                    value += w1 * a2
+                before[i, j] = value
+        for i in range(m):
+            for j in range(i + 1):
+                p[i, j] = before[i, j]
+                p[j, i] = before[i, j]
+            x[i] += work[i] * e
+            if gains.size:
+                gains[k, i] = work[i]
+    return total
+
+
+_NONE = np.empty(0)
+_NO_GAINS = np.empty((0, 0))
+
+
+def log_densities(
+    y: Floats,
+    used: NDArray[np.bool_],
+    step_s: Floats,
+    mean: Floats,
+    noise_var: Floats,
+    states: Floats,
+    shocks: Floats,
+    extras: Floats,
+) -> Floats:
+    """Return each reading's log density given those before it, shape (n,); 0 where it is not used.
+
+    Args:
+        y: readings, shape (n,); what is not used may be anything.
+        used: which of them count, shape (n,).
+        step_s: time since the reading before, s, shape (n,); the first is ignored.
+        mean: deterministic part, shape (n,).
+        noise_var: variance of the white noise, shape (n,).
+        states: table of states, shape (m, 6).
+        shocks: rate per s, variance of the jump, index of the shock's state or -1.
+        extras: noise variance per squared state, quadratic coefficient, probability and variance of an outlier.
+    """
+    each = np.zeros(y.size)
+    _filter(y, used, step_s, mean, noise_var, states, shocks, extras, each, _NONE, _NONE, _NONE, _NO_GAINS)
+    return each
+
+
+def predict(
+    y: Floats,
+    used: NDArray[np.bool_],
+    step_s: Floats,
+    mean: Floats,
+    noise_var: Floats,
+    states: Floats,
+    shocks: Floats,
+    extras: Floats,
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return for each reading its log density, z, predicted mean, variance without shock, and the gains.
+
+    Shapes (n,), the gains (n, m). The log density and z are 0 where a reading is not used.
+    """
+    n = y.size
+    each, cdf, predicted, variance = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    gains = np.zeros((n, states.shape[0]))
+    _filter(y, used, step_s, mean, noise_var, states, shocks, extras, each, cdf, predicted, variance, gains)
+    if shocks[2] >= 0 or extras[0] != 0.0 or extras[2] != 0.0:
+        z = np.where(used, -np.sign(cdf) * ndtri(np.clip(np.abs(cdf), 1e-300, 0.5)), 0.0)
+    else:
+        z = cdf
+    return each, z, predicted, variance, gains
+
+
+@njit(cache=True)
+def whiten(template: Floats, step_s: Floats, states: Floats, gains: Floats, used: NDArray[np.bool_]) -> Floats:
+    """Return what the filter, with the gains it had, leaves of a template added to the readings, shape (n,).
+
+    The innovations are linear in the readings once the gains are given, so this is how an effect of that shape would
+    show in them.
+    """
+    m, n = states.shape[0], template.size
+    keep, turn, noise = np.zeros(_MOST), np.zeros(_MOST), np.zeros(_MOST)
+    x, left = np.zeros(m), np.zeros(n)
+    last_step = -1.0
+    for k in range(n):
+        if step_s[k] != last_step:
+            last_step = step_s[k]
+            _transition(last_step, states, keep, turn, noise)
+        if k > 0:
+            _advance_vector(states, keep, turn, x)
+        if not used[k]:
+            continue
+        e = template[k]
+        for i in range(m):
+            e -= states[i, 5] * x[i]
+        left[k] = e
+        for i in range(m):
+            x[i] += gains[k, i] * e
+    return left

@@ -1,0 +1,83 @@
+"""What a diagnosis is, as frozen records whose fields are the JSON's keys."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+__all__ = ["Diagnosis", "Discrepancy", "Finding", "Gain", "Value", "Verdict"]
+
+Verdict = Literal["nothing_found", "explained", "unexplained"]
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """A parameter with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """What a term is worth on blocks that its fit never saw."""
+
+    nats_per_reading: float
+    nats_total: float
+    low: float
+    """Of the total: 95 % interval, nats."""
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One discrepancy with its name."""
+
+    cause: str
+    """The most probable name."""
+    names: tuple[str, ...]
+    """It, and those that the data cannot tell from it, most probable first."""
+    probability: float
+    """Of the first among the rivals that were fitted, each given the same prior odds."""
+    p_value: float
+    """Of the check that found it, over its whole grid."""
+    d_nats: float
+    """Log-likelihood that the term adds, less half a nat for each free number; 0 where no term is added."""
+    parameters: Mapping[str, Value]
+    gain: Gain
+    rms_before: float
+    """Root mean square of the one-step prediction's error without the term, V."""
+    rms_after: float
+    experiment: str
+    """The cheapest one that would tell the names apart, or test the one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Discrepancy:
+    """A check that the base model fails, and where simulations of it lie."""
+
+    check: str
+    observed: float
+    simulated_low: float
+    """2.5 % quantile of the statistic's law under the model under criticism."""
+    simulated_high: float
+    p_value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The whole answer."""
+
+    verdict: Verdict
+    n: int
+    rate_hz: float
+    findings: tuple[Finding, ...]
+    discrepancies: tuple[Discrepancy, ...]
+    base_model: Mapping[str, Any]
+    extended_model: Mapping[str, Any]
+    seconds: float
+    covered: tuple[str, ...] = field(default=())
+    """Mechanisms that were looked for."""
+    not_covered: tuple[str, ...] = field(default=())
+    """Mechanisms of the catalogue that were not looked for."""

@@ -1,0 +1,147 @@
+"""A file becomes a series: arrays on the grid of the meter's own timer, and what the checks need of their origin.
+
+A meter paces itself, so the steps between readings are whole multiples of one interval; time stamps given by a host
+scatter about that grid. Steps within a fifth of an interval of a multiple are taken as that multiple (the stamps'
+scatter is then itself something to check), others as they are stamped.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aemd.block import NOT_A_VALUE, READING, Status
+from aemd.errors import RecordingError
+from aemd.record.reader import Recording
+from aemd.tables import import_csv
+
+__all__ = ["Series", "load_series"]
+
+Floats = NDArray[np.float64]
+
+_LEAST_READINGS = 100
+"""Fewer do not tell the base model's parameters apart."""
+_ON_GRID = 0.2
+"""Intervals from a whole multiple that a step may be stamped off, and still be that multiple."""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Readings in the order of time; shapes (n,)."""
+
+    path: str
+    time_s: Floats
+    """As stamped, from the first reading."""
+    value_V: Floats
+    """NaN where there is none."""
+    index: NDArray[np.int64]
+    """Number of each reading; a jump is a counted loss. Consecutive where the file does not number them."""
+    status: NDArray[np.uint32]
+    interval_s: float
+    """Of the grid: median step."""
+    nominal_interval_s: float = 0.0
+    """As the file says it was asked for; 0 if it does not."""
+    numbered: bool = False
+    """Whether the file numbers its readings, so that a loss is known and not inferred."""
+    witnesses: Mapping[str, Floats] = field(default_factory=dict)
+    """Further quantities, interpolated at the readings' times."""
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Which readings have a value."""
+        return np.isfinite(self.value_V)
+
+    @property
+    def slot(self) -> NDArray[np.int64]:
+        """Place of each reading on the grid of whole intervals, from 0."""
+        return np.concatenate(([0], np.cumsum(np.maximum(np.rint(self.step_s[1:] / self.interval_s), 1)))).astype(
+            np.int64
+        )
+
+    @property
+    def step_s(self) -> Floats:
+        """Time since the reading before, s, on the grid where it is near it; the first is one interval."""
+        steps = np.diff(self.time_s) / self.interval_s
+        whole = np.maximum(np.rint(steps), 1.0)
+        near = np.abs(steps - whole) <= _ON_GRID
+        if self.numbered:
+            whole, near = np.diff(self.index).astype(np.float64), np.ones_like(near)
+        return np.concatenate(([1.0], np.where(near, whole, steps))) * self.interval_s
+
+
+def load_series(path: Path) -> Series:
+    """Read a recording, or a table `time,value[,...]`.
+
+    Raises:
+        RecordingError: the file cannot be read, or what it holds cannot be criticised.
+    """
+    try:
+        with path.open("rb") as file:
+            is_mcap = file.read(5) == b"\x89MCAP"
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from error
+    if is_mcap:
+        return _from_recording(path, path, numbered=True)
+    with TemporaryDirectory() as folder:  # one reader of tables, with all its refusals
+        made = Path(folder) / "table.mcap"
+        import_csv(path, made)
+        return _from_recording(path, made, numbered=False)
+
+
+def _from_recording(path: Path, made: Path, *, numbered: bool) -> Series:
+    with Recording(made, allow_unfinished=True) as recording:
+        batches = list(recording.batches())
+        nominal = recording.description.interval_s
+    blocks = [batch.readings for batch in batches if batch.readings.size]
+    readings = np.concatenate(blocks) if blocks else np.empty(0, READING)
+    if readings.size < _LEAST_READINGS:
+        raise RecordingError(
+            f"{path}: holds {readings.size} readings; at least {_LEAST_READINGS} are needed to say anything"
+        )
+    values = np.where(readings["status"] & NOT_A_VALUE, np.nan, readings["value_V"])
+    usable = int(np.count_nonzero(np.isfinite(values)))
+    if usable < max(_LEAST_READINGS, readings.size // 2):
+        raise RecordingError(f"{path}: only {usable} of {readings.size} readings have a value; too few to judge by")
+    if np.nanmin(values) == np.nanmax(values):
+        raise RecordingError(f"{path}: every reading is {np.nanmax(values):g}; a constant has nothing to explain")
+    t_ns = readings["t_ns"]
+    if np.any(np.diff(t_ns) <= 0):
+        row = int(np.argmax(np.diff(t_ns) <= 0)) + 2
+        raise RecordingError(f"{path}: reading {row} is not later than the one before; sort the file by time")
+    time_s = (t_ns - t_ns[0]) * 1e-9
+    steps = np.diff(time_s) / (np.maximum(np.diff(readings["index"]), 1) if numbered else 1)
+    interval_s = float(np.median(steps))
+    if not numbered:  # a log's stamps are rounded, so their median is; their mean over single steps is not
+        single = np.abs(steps / interval_s - 1) < 0.5
+        interval_s = float(np.mean(steps[single]))
+    found: dict[str, list[NDArray[np.void]]] = {}
+    for batch in batches:
+        for name, rows in batch.witnesses.items():
+            found.setdefault(name, []).append(rows)
+    witnesses = {}
+    for name, pieces in found.items():
+        rows = np.concatenate(pieces)
+        rows = rows[np.isfinite(rows["value"])]
+        if rows.size >= 2 and np.ptp(rows["value"]) > 0:
+            order = np.argsort(rows["t_ns"], kind="stable")
+            at_s = (rows["t_ns"][order] - t_ns[0]) * 1e-9
+            witnesses[name] = np.interp(time_s, at_s, rows["value"][order])
+    return Series(
+        path=str(path),
+        time_s=time_s,
+        value_V=values,
+        index=readings["index"].astype(np.int64),
+        status=readings["status"].astype(np.uint32),
+        interval_s=interval_s,
+        nominal_interval_s=nominal if numbered and math.isfinite(nominal) else 0.0,
+        numbered=numbered,
+        witnesses=witnesses,
+    )
+
+
+OVERLOAD = int(Status.OVERLOAD_HIGH | Status.OVERLOAD_LOW)
+"""Either end of the range."""

@@ -1,0 +1,1 @@
+"""The mechanisms as terms of the fit, one family a file."""

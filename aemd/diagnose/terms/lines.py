@@ -1,0 +1,91 @@
+"""Sinusoids: at a frequency of their own, and those of the mains, folded by the sampling."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot, log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts
+
+__all__ = ["Sines", "fold"]
+
+Floats = NDArray[np.float64]
+
+
+def fold(frequency_hz: float, rate_hz: float) -> float:
+    """Return where a frequency shows after sampling.
+
+    >>> fold(50.0, 15.0)
+    5.0
+    """
+    return abs(frequency_hz - rate_hz * round(frequency_hz / rate_hz))
+
+
+@dataclass(frozen=True, slots=True)
+class Sines:
+    """Sum over h of a_h cos(2 pi h f t) + b_h sin(2 pi h f t).
+
+    Free numbers: (f - f0) T, then a_h and b_h of each harmonic.
+    """
+
+    cause: str
+    frequency_hz: float
+    """f0, where the fit begins: for the mains the true frequency, not its alias."""
+    reach: float
+    """Bound of (f - f0) T."""
+    harmonics: tuple[int, ...]
+    amplitudes: tuple[float, ...]
+    """Starts, a and b of each harmonic in turn."""
+    cost_nats: float
+    """What the freedom of this term is worth; see naming."""
+
+    @property
+    def start(self) -> Floats:
+        """Free numbers to begin with."""
+        return np.array([0.0, *self.amplitudes])
+
+    @property
+    def bounds(self) -> Sequence[Bounds]:
+        """Of the frequency; amplitudes are free."""
+        return [(-self.reach, self.reach)] + [(-1e9, 1e9)] * (2 * len(self.harmonics))
+
+    def add(self, theta: Floats, data: Data, parts: Parts) -> None:
+        """Put the sum into the mean."""
+        frequency = self.frequency_hz + theta[0] / data.span_s
+        for number, harmonic in enumerate(self.harmonics):
+            angle = 2 * np.pi * harmonic * frequency * data.t_s
+            parts.mean += theta[1 + 2 * number] * np.cos(angle) + theta[2 + 2 * number] * np.sin(angle)
+
+    def parameters(self, data: Data) -> Sequence[Parameter]:
+        """Return frequency, alias where it is one, and peak amplitudes, as the readings show them."""
+        rate, span, unit = 1 / data.interval_s, data.span_s, data.unit_V
+
+        def frequency(v: Floats) -> float:
+            return float(self.frequency_hz + v[0] / span)
+
+        first = self.harmonics[0]
+        shown = (
+            [
+                Parameter("mains_hz", "Hz", frequency),
+                Parameter("alias_hz", "Hz", lambda v: fold(first * frequency(v), rate)),
+            ]
+            if self.cause == "mains_alias"
+            else [Parameter("frequency_hz", "Hz", frequency)]
+        )
+        shown.append(Parameter("amplitude_V", "V", lambda v: hypot(v[1], v[2]) * unit))
+        for number, harmonic in enumerate(self.harmonics[1:], start=1):
+            shown.append(
+                Parameter(
+                    f"amplitude_{harmonic}_V",
+                    "V",
+                    lambda v, at=1 + 2 * number: hypot(v[at], v[at + 1]) * unit,  # type: ignore[misc] # binds the loop's
+                )
+            )
+        return shown
+
+
+def amplitude_cost(count: int, n: int) -> float:
+    """Return the nats of `count` free amplitudes: a prior as wide as one reading's information allows."""
+    return 0.5 * count * log(max(n, 2))

@@ -1,0 +1,119 @@
+"""Each defect is found where it was put, and a sound record has none."""
+
+import numpy as np
+import pytest
+
+from aemd.block import Status
+from aemd.diagnose.checks.integrity import check_raw, find_lattice
+from tests.diagnose.plant import INTERVAL_S, N, clean, innovation_variance, series, times
+
+SD_V = 1e-3 * np.sqrt(innovation_variance())
+
+
+def causes(record) -> list[str]:
+    return [defect.cause for defect in check_raw(record, SD_V)]
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("digits", [None, 4])
+def test_a_sound_record_has_no_defect(seed, digits):
+    """Rounded to 0.1 mV, a tenth of what is new in each reading, or not at all."""
+    y = clean(seed, shocks_per_s=0.05)
+    assert causes(series(y if digits is None else np.round(y, digits))) == []
+
+
+def test_a_jump_of_the_index_is_counted():
+    keep = np.ones(N, bool)
+    keep[100:103] = keep[2000] = False
+    y = clean(1)
+    defects = check_raw(series(y[keep], index=np.arange(N)[keep], time_s=times()[keep]), SD_V)
+
+    assert [d.cause for d in defects] == ["missing_samples"]
+    assert defects[0].parameters["lost"].value == 4
+    assert defects[0].parameters["gaps"].value == 2
+
+
+def test_without_numbers_the_stamps_tell_what_is_missing():
+    keep = np.ones(N, bool)
+    keep[500] = keep[900:902] = False
+    y = clean(1)
+    defects = check_raw(series(y[keep], time_s=times()[keep], numbered=False, nominal_interval_s=0.0), SD_V)
+
+    assert defects[0].parameters["lost"].value == 3
+
+
+@pytest.mark.parametrize("digits", [None, 4])
+def test_a_block_that_comes_twice_is_dropped_the_second_time(digits):
+    y = clean(2) if digits is None else np.round(clean(2), digits)
+    y[3000:3040] = y[1000:1040]
+    (defect,) = check_raw(series(y), SD_V)
+
+    assert defect.cause == "replayed_block"
+    assert defect.parameters["lag_s"].value == pytest.approx(2000 * INTERVAL_S)
+    assert defect.parameters["dwell_s"].value == pytest.approx(40 * INTERVAL_S, abs=2 * INTERVAL_S)
+    assert defect.dropped is not None
+    assert not defect.dropped[1000:1040].any()
+
+
+@pytest.mark.parametrize("digits", [None, 4])
+def test_a_frozen_reading_is_found(digits):
+    y = clean(3) if digits is None else np.round(clean(3), digits)
+    y[700:720] = y[700]
+    (defect,) = check_raw(series(y), SD_V)
+
+    assert defect.cause == "stuck_readings"
+    assert defect.dropped is not None
+    assert defect.dropped.sum() == 19
+
+
+def test_a_coarse_lattice_is_found_with_its_step():
+    q = 0.6e-3
+    (defect,) = check_raw(series(np.round(clean(4) / q) * q), SD_V)
+
+    assert defect.cause == "quantisation"
+    assert defect.parameters["step_V"].value == pytest.approx(q, rel=1e-6)
+
+
+@pytest.mark.parametrize("step", [1e-3, 2.5e-7, 0.1])
+def test_the_lattice_of_random_multiples_is_found_whatever_its_offset(step):
+    rng = np.random.default_rng(5)
+    values = 3.3 + step * rng.integers(-40, 40, 2000)
+
+    assert find_lattice(values) == pytest.approx(step, rel=1e-6)
+    assert find_lattice(values + step * rng.uniform(-0.5, 0.5, 2000)) == 0.0
+
+
+@pytest.mark.parametrize(("sign", "quantile"), [(1, 0.99), (-1, 0.99)])
+def test_a_clipped_extreme_is_found_with_its_level(sign, quantile):
+    y = 1 + sign * (clean(6) - 1)
+    level = float(np.quantile(sign * y, quantile) * sign)
+    clipped = np.minimum(y, level) if sign > 0 else np.maximum(y, level)
+    defects = {defect.cause: defect for defect in check_raw(series(clipped), SD_V)}
+
+    assert defects["saturation"].parameters["level_V"].value == level
+    assert defects["saturation"].parameters["fraction"].value == pytest.approx(0.01, rel=0.1)
+
+
+def test_flagged_overloads_are_saturation():
+    y, status = clean(7), np.zeros(N, np.uint32)
+    y[50:60], status[50:60] = np.nan, int(Status.OVERLOAD_HIGH)
+
+    assert causes(series(y, status=status)) == ["saturation"]
+
+
+def test_stamps_of_a_host_scatter_and_those_rounded_to_a_millisecond_do_not():
+    rng = np.random.default_rng(80)
+    logged = {"numbered": False, "nominal_interval_s": 0.0}
+    scattered = times() + rng.normal(0, 3e-3, N)
+    (defect,) = check_raw(series(clean(8), time_s=scattered, **logged), SD_V)
+
+    assert defect.cause == "timestamp_jitter"
+    assert defect.parameters["sd_s"].low < 3e-3 < defect.parameters["sd_s"].high
+    assert causes(series(clean(8), time_s=np.round(times(), 3), **logged)) == []
+
+
+def test_an_interval_off_by_a_thousandth_is_a_clock_error():
+    (defect,) = check_raw(series(clean(9), nominal_interval_s=INTERVAL_S / 1.001), SD_V)
+
+    assert defect.cause == "clock_error"
+    assert defect.parameters["ratio"].value == pytest.approx(1.001, abs=1e-6)
