@@ -1,0 +1,35 @@
+"""`python -m tests.blind`: seal, run, open, and write tests/blind/REPORT.md."""
+
+import argparse
+import secrets
+import sys
+from pathlib import Path
+
+from aemd.diagnose import COVERED
+from tests.blind.harness import run_all, seal
+from tests.blind.report import write_report
+from tests.blind.score import Pair
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m tests.blind", description=__doc__)
+    parser.add_argument("--runs", type=int, default=300)
+    parser.add_argument("--seed", help="the salt; without it a secret one, told in the report")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "REPORT.md")
+    options = parser.parse_args()
+    salt = options.seed or secrets.token_hex(16)
+    envelopes, key_hash = seal(salt, options.runs, options.jobs)
+    print(f"sealed {len(envelopes)} envelopes, key SHA-256 {key_hash}", file=sys.stderr)
+    pairs = []
+    for envelope, answer in zip(envelopes, run_all(envelopes, options.jobs), strict=True):
+        pairs.append(Pair(envelope, answer))
+        print(f"\r{len(pairs)}/{len(envelopes)}", end="", file=sys.stderr)
+    print(file=sys.stderr)
+    report = write_report(pairs, salt=salt, key_hash=key_hash, covered=COVERED)
+    options.out.write_text(report)
+    print(report)
+
+
+if __name__ == "__main__":
+    main()

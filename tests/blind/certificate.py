@@ -1,0 +1,255 @@
+"""How much a hidden effect can be known: D, in nats, by a likelihood written for this purpose alone.
+
+D = E[log p(readings | plant with the effect)] - E[log p(readings | the best plant without it)]
+
+The best plant is found by refitting all five numbers of the clean plant, so what it absorbs is no part of D. A change
+of covariance costs n/2 times the mean over the spectrum of log(S'/S) + S/S' - 1 (asymptotic; S folded, apertures
+included); a change of the mean costs half the energy of what the refitted plant's whitening leaves of it (exact).
+Shocks and lost readings are left out, so D is then a little too large. Kind of D by cause, in KINDS below:
+
+    mean         deterministic, given the draws (phases, shock times, temperature, the readings it bends): as above
+    covariance   Gaussian: as above
+    popcorn      its covariance only, so D is too small: the two levels tell more
+    innovation   noise that is not Gaussian or not stationary: as if innovations were independent, with their variance
+    counted      nothing is refitted: the effect is seen by counting, and a size is drawn instead of a D
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import exp, log, sqrt
+
+import numpy as np
+from numba import njit
+from scipy.optimize import brentq, minimize
+from scipy.signal import fftconvolve
+from scipy.special import ndtri
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from tests.blind.injector import AT_INPUT, make_record, template
+from tests.blind.plant import Effect, Plant, Run, make_world
+
+__all__ = ["KINDS", "LEVEL", "clairvoyant_d95", "d_nats", "size_for"]
+
+LEVEL = 0.003 / 33
+"""False-alarm rate of one mechanism, if 0.3 % is shared by 33 of them."""
+
+KINDS = dict.fromkeys(AT_INPUT, "mean") | {
+    "resonance": "covariance",
+    "difference_noise": "covariance",
+    "smoothing": "covariance",
+    "popcorn_noise": "popcorn",
+    "changing_noise": "innovation",
+    "signal_dependent_noise": "innovation",
+    "heavy_tails": "innovation",
+    "shock_law": "innovation",
+    "nonlinearity": "mean",
+    "reading_pattern": "mean",
+    "quantisation": "counted",
+    "saturation": "counted",
+    "stuck_readings": "counted",
+    "replayed_block": "counted",
+    "missing_samples": "counted",
+    "timestamp_jitter": "counted",
+    "dead_band": "counted",
+    "ooc_echo": "covariance",
+    "ooc_gain_step": "mean",
+}
+
+
+def d_nats(run: Run, effect: Effect) -> float:
+    """Return D of an effect in an otherwise clean run; NaN where it is counted."""
+    plant, n = run.plant, run.plant.n
+    kind, theta = KINDS[effect.cause], numbers(plant)
+    if kind == "counted":
+        return float("nan")
+    if kind == "innovation":
+        return n * innovation_kl(plant, effect, len(clean(run)[1]))
+    clean_s = spectrum(theta, plant)
+    if kind == "mean":
+        return refit(theta, plant, clean_s, effect.size * unit_template(run, effect)) - refit(
+            theta, plant, clean_s, None
+        )
+    return refit(theta, plant, EXTENDED[effect.cause](clean_s, effect, plant), None)
+
+
+def size_for(d_target: float, run: Run, effect: Effect, low: float, high: float) -> Effect | None:
+    """Return the effect with the size that has this D, within a range; None where no size there has it."""
+
+    def excess(log_size: float) -> float:
+        return log(max(d_nats(run, replace(effect, size=exp(log_size))), 1e-9)) - log(d_target)
+
+    if excess(log(high)) < 0 or excess(log(low)) > 0:
+        return None
+    return replace(effect, size=exp(brentq(excess, log(low), log(high), xtol=0.01)))
+
+
+def clairvoyant_d95(cause: str, n: int, level: float = LEVEL) -> float:
+    """Return the D at which who knows the family and the plant detects in 95 %: (u + 1.645)^2/2.
+
+    u is the threshold of one standard normal number, or for a line of the root of twice an exponential one, after as
+    many independent looks as the family's grid has; those numbers are estimates of the grids' sizes.
+    """
+    looks, line = LOOKS.get(cause, (1.0, False))
+    looks = looks if looks < 1e3 else looks / 1e3 * n
+    threshold = sqrt(2 * log(looks / level)) if line else -ndtri(level / (2 * looks))
+    return float((threshold + 1.645) ** 2 / 2)
+
+
+LOOKS = {  # (looks, whether it has two quadratures); from 1000 on in thousandths of the readings
+    "mains_alias": (6.0, True),
+    "periodic_interference": (1e3, True),
+    "wandering_line": (30e3, True),
+    "periodic_glitch": (30e3, False),
+    "resonance": (200.0, False),
+    "step": (0.1e3 + 900, False),
+    "ring_down": (500.0, True),
+    "thermal_drift": (10.0, False),
+    "warmup_drift": (10.0, False),
+    "changing_noise": (50.0, False),
+    "popcorn_noise": (20.0, False),
+}
+
+
+# --- Gaussian: five numbers, their spectrum, their whitening ---------------------------------------------------------
+
+
+def numbers(plant: Plant) -> np.ndarray:
+    """Return logarithms of two variances at lag 0 and their time constants, and of the white variance."""
+    drift_sd = plant.drift_rate_V_per_rt_s * sqrt(plant.drift_tau_s / 2)
+    pairs = [(plant.signal_sd_V, plant.signal_tau_s), (drift_sd, plant.drift_tau_s)]
+    values, white = [], plant.white_sd_V**2
+    for sd, tau in pairs:
+        a = plant.inside * plant.step_s / tau
+        shared = sd**2 * (-np.expm1(-a) / a) ** 2 * exp(a)  # times e^(-lag/tau) is the covariance of aperture means
+        white += sd**2 * 2 * (a + np.expm1(-a)) / a**2 - shared
+        values += [log(shared), log(tau)]
+    return np.array([*values, log(white)])
+
+
+def markov_spectrum(keep: float, turn: np.ndarray) -> np.ndarray:
+    return (1 - keep**2) / (1 - 2 * keep * np.cos(turn) + keep**2)
+
+
+def turns(plant: Plant) -> np.ndarray:
+    return 2 * np.pi * np.arange(1, plant.n // 2) / plant.n
+
+
+def spectrum(theta: np.ndarray, plant: Plant) -> np.ndarray:
+    w = turns(plant)
+    first, second = (
+        exp(theta[2 * j]) * markov_spectrum(exp(-plant.interval_s / exp(theta[2 * j + 1])), w) for j in (0, 1)
+    )
+    return first + second + exp(theta[4])
+
+
+def refit(theta: np.ndarray, plant: Plant, true_s: np.ndarray, mean: np.ndarray | None) -> float:
+    """Return the least that the best clean plant loses."""
+
+    def loss(numbers: np.ndarray) -> float:
+        s = spectrum(numbers, plant)
+        ratio = true_s / s
+        lost = plant.n / 2 * float(np.mean(ratio - np.log(ratio) - 1))
+        return lost + (0.0 if mean is None else energy(numbers, plant, mean) / 2)
+
+    box = [(value - 6, value + 6) for value in theta]
+    return float(minimize(loss, theta, method="L-BFGS-B", bounds=box, options={"maxiter": 60}).fun)
+
+
+def energy(theta: np.ndarray, plant: Plant, mean: np.ndarray) -> float:
+    """Return mean' C^-1 mean, less what a constant takes of it."""
+    keeps = [exp(-plant.interval_s / exp(theta[j])) for j in (1, 3)]
+    white = [
+        whiten(np.asarray(column, float), *keeps, *np.exp(theta[[0, 2, 4]])) for column in (mean, np.ones(plant.n))
+    ]
+    seen, level = white
+    return float(seen @ seen - (seen @ level) ** 2 / (level @ level))
+
+
+@njit(cache=True)
+def whiten(y: np.ndarray, keep1: float, keep2: float, var1: float, var2: float, noise: float) -> np.ndarray:
+    """Return innovations over their standard deviations, of two Markov states and white noise."""
+    x1 = x2 = 0.0
+    p11, p12, p22 = var1, 0.0, var2
+    out = np.empty(y.size)
+    for k in range(y.size):
+        c1, c2 = p11 + p12, p12 + p22
+        s = c1 + c2 + noise
+        e = y[k] - x1 - x2
+        out[k] = e / np.sqrt(s)
+        x1, x2 = keep1 * (x1 + c1 / s * e), keep2 * (x2 + c2 / s * e)
+        p11 = keep1**2 * (p11 - c1 * c1 / s) + (1 - keep1**2) * var1
+        p12 = keep1 * keep2 * (p12 - c1 * c2 / s)
+        p22 = keep2**2 * (p22 - c2 * c2 / s) + (1 - keep2**2) * var2
+    return out
+
+
+def clean(run: Run) -> tuple[np.ndarray, list[tuple[float, float]]]:
+    """Return the readings of the twin without effects and losses, and its shocks."""
+    twin = replace(run, effects=(), plant=replace(run.plant, lost_fraction=0.0))
+    return make_record(twin).value_V, make_world(twin).shocks
+
+
+def unit_template(run: Run, effect: Effect) -> np.ndarray:
+    if effect.cause in AT_INPUT:
+        return template(run, effect)
+    if effect.cause == "reading_pattern":
+        return (np.arange(run.plant.n) % int(effect.shape["period_readings"]) == 0).astype(float)
+    value = clean(run)[0]
+    deviation = value - value.mean()
+    if effect.cause == "ooc_gain_step":
+        return np.where(np.arange(run.plant.n) * run.plant.interval_s >= effect.shape["time_s"], deviation, 0.0)
+    return deviation**2 - np.mean(deviation**2)  # nonlinearity
+
+
+def with_resonance(s: np.ndarray, effect: Effect, plant: Plant) -> np.ndarray:
+    f, quality = effect.shape["frequency_hz"], effect.shape["quality"]
+    keep, turn = exp(-np.pi * f / quality * plant.interval_s), 2 * np.pi * f * plant.interval_s
+    seen = np.sinc(f * plant.inside * plant.step_s) ** 2
+    both = markov_spectrum(keep, turns(plant) - turn) + markov_spectrum(keep, turns(plant) + turn)
+    return s + effect.size**2 * seen * both / 2
+
+
+def with_popcorn(s: np.ndarray, effect: Effect, plant: Plant) -> np.ndarray:
+    keep = exp(-2 * plant.interval_s / effect.shape["dwell_s"])
+    return s + effect.size**2 / 4 * markov_spectrum(keep, turns(plant))
+
+
+EXTENDED: dict[str, Callable[[np.ndarray, Effect, Plant], np.ndarray]] = {
+    "resonance": with_resonance,
+    "popcorn_noise": with_popcorn,
+    "difference_noise": lambda s, effect, plant: s + effect.size**2 * (2 - 2 * np.cos(turns(plant))),
+    "smoothing": lambda s, effect, plant: (
+        s * (1 - effect.size) ** 2 / (1 - 2 * effect.size * np.cos(turns(plant)) + effect.size**2)
+    ),
+}
+
+
+# --- innovations ------------------------------------------------------------------------------------------------------
+
+
+def innovation_kl(plant: Plant, effect: Effect, shocks: int) -> float:
+    """Return nats per reading of noise that is not Gaussian, or not of one variance."""
+    variance = exp(float(np.mean(np.log(spectrum(numbers(plant), plant)))))  # of one innovation (Kolmogorov)
+    if effect.cause == "shock_law":
+        positive = (1 + effect.size) / 2
+        odds = np.array([positive, 1 - positive])
+        return shocks * float(np.sum(odds * np.log(2 * odds, where=odds > 0, out=np.zeros(2)))) / plant.n
+    if effect.cause == "changing_noise":
+        part = effect.shape["end"] - effect.shape["begin"]
+        changed = variance + (effect.size**2 - 1) * plant.white_sd_V**2
+        return (log(part * changed + (1 - part) * variance) - part * log(changed) - (1 - part) * log(variance)) / 2
+    if effect.cause == "signal_dependent_noise":
+        nodes, weights = np.polynomial.hermite_e.hermegauss(61)
+        spread = np.sum(np.exp(numbers(plant)[[0, 2]]))
+        each = variance + effect.size**2 * spread * nodes**2
+        weights = weights / weights.sum()
+        return (log(weights @ each) - weights @ np.log(each)) / 2
+    share = effect.size * plant.white_sd_V**2 / variance  # heavy_tails; in units of the innovation's sd
+    grid = np.linspace(-25, 25, 20_001)
+    scale = sqrt(share / 3)
+    jump = student.pdf(grid / scale, 3) / scale
+    core = norm.pdf(grid, scale=sqrt(max(1 - share, 1e-4)))
+    density = fftconvolve(jump, core, mode="same") * (grid[1] - grid[0])
+    density = np.maximum(density, 1e-300)
+    return float(np.sum(density * (np.log(density) - norm.logpdf(grid))) * (grid[1] - grid[0]))

@@ -1,0 +1,191 @@
+"""The injector and its certificates against formulas and against numpy's dense linear algebra."""
+
+import ast
+from dataclasses import replace
+from math import exp, log, pi, sqrt
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aemd.record.reader import Recording
+from tests.blind.certificate import KINDS, clairvoyant_d95, d_nats, numbers, size_for, spectrum, turns, whiten
+from tests.blind.envelope import OUTSIDE, SINGLE, draw_envelope, draw_plant
+from tests.blind.files import START_NS, write_csv, write_mcap
+from tests.blind.injector import AFTERWARDS, AT_INPUT, NOISE, make_record, template
+from tests.blind.plant import Effect, Plant, Run, markov
+
+PLANT = Plant(
+    n=4000,
+    interval_s=0.06712,
+    aperture_s=0.02,
+    signal_sd_V=1e-3,
+    signal_tau_s=0.5,
+    drift_rate_V_per_rt_s=1e-3 * sqrt(2 / 60),
+    drift_tau_s=60.0,
+    white_sd_V=5e-4,
+)
+RUN = Run(PLANT, seed=11)
+
+
+@pytest.mark.parametrize("name", ["injector.py", "plant.py"])
+def test_the_injector_shares_no_code_with_the_package(name):
+    tree = ast.parse(Path(__file__).with_name(name).read_text())
+    modules = {
+        module
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for module in ([node.module] if isinstance(node, ast.ImportFrom) else [alias.name for alias in node.names])
+    }
+
+    assert modules <= {"collections.abc", "dataclasses", "math", "numpy", "tests.blind.plant"}
+
+
+def test_the_recursion_in_blocks_is_the_recursion():
+    n, step_s, tau_s, rate = 1000, 1e-3, 0.05, 0.3
+    kicks = np.random.default_rng(5).standard_normal(1024 + 1)  # in the order of the draws: the start comes last
+    sd, keep = rate * sqrt(tau_s / 2), exp(-step_s / tau_s)
+    x, expected = sd * kicks[1024], []
+    for kick in kicks[:n]:
+        x = keep * x + sd * sqrt(1 - keep**2) * kick
+        expected.append(x)
+
+    assert markov(np.random.default_rng(5), n, step_s, tau_s, rate) == pytest.approx(np.array(expected), abs=1e-12)
+
+
+def test_readings_have_the_variance_and_the_covariance_of_aperture_means():
+    # As of any exponential covariance averaged over an aperture h: sd^2 2 (a - 1 + e^-a)/a^2, a = h/tau, and so on.
+    plant = replace(PLANT, n=60_000, drift_rate_V_per_rt_s=1e-12, white_sd_V=5e-4)
+    value = make_record(Run(plant, seed=3)).value_V
+    a = plant.inside * plant.step_s / 0.5
+    variance = 1e-6 * 2 * (a - 1 + exp(-a)) / a**2
+    covariance = 1e-6 * ((1 - exp(-a)) / a) ** 2 * exp(a - plant.interval_s / 0.5)
+    tolerance = 5e-6 * sqrt(2 * 0.5 / plant.interval_s * 2 / plant.n)
+
+    assert value.var() == pytest.approx(variance + 25e-8, abs=tolerance)
+    assert np.mean(value[1:] * value[:-1]) == pytest.approx(covariance, abs=tolerance)
+
+
+def test_the_spectrum_of_the_certificate_is_that_of_readings():
+    plant = replace(PLANT, n=8192, drift_tau_s=3.0)
+    power = np.mean(
+        [np.abs(np.fft.rfft(make_record(Run(plant, seed)).value_V)[1:4096]) ** 2 / plant.n for seed in range(12)],
+        axis=0,
+    )
+    bands = np.array_split(power / spectrum(numbers(plant), plant), 16)
+
+    assert [float(band.mean()) for band in bands] == pytest.approx([1.0] * 16, abs=5 / sqrt(12 * 256) + 0.01)
+
+
+def test_a_line_shows_at_its_fold_with_what_the_aperture_leaves_of_it():
+    rate_hz, f = 1 / PLANT.interval_s, 50.3
+    shape = {"frequency_hz": f, "phase_rad": 0.4}
+    run = replace(RUN, plant=replace(PLANT, aperture_s=0.01))
+    seen = template(run, Effect("mains_alias", 1.0, shape))
+    angle = 2 * pi * abs(f - rate_hz * round(f / rate_hz)) * np.arange(PLANT.n) * PLANT.interval_s
+    amplitude = 2 * abs(np.mean(seen * np.exp(-1j * angle)))
+
+    assert amplitude == pytest.approx(abs(np.sinc(f * run.plant.inside * run.plant.step_s)), rel=0.01)
+
+
+def test_a_resonance_has_unit_variance_and_rings_for_its_quality():
+    plant = replace(PLANT, n=20_000)
+    seen = template(Run(plant, 5), Effect("resonance", 1.0, {"frequency_hz": 2.0, "quality": 5.0}))
+    lag_s, decay_s = plant.interval_s, 5 / (pi * 2)
+    attenuated = np.sinc(2.0 * 0.02) ** 2
+    tolerance = 5 * sqrt(2 * decay_s / (plant.n * lag_s))
+
+    assert seen.var() == pytest.approx(attenuated, abs=tolerance)
+    expected = attenuated * exp(-lag_s / decay_s) * np.cos(2 * pi * 2 * lag_s)
+    assert np.mean(seen[1:] * seen[:-1]) == pytest.approx(expected, abs=tolerance)
+
+
+def test_whitening_is_that_of_the_dense_covariance():
+    n, keep1, keep2, var1, var2, noise = 40, 0.8, 0.99, 2.0, 3.0, 0.5
+    lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    covariance = var1 * keep1**lag + var2 * keep2**lag + noise * np.eye(n)
+    y = np.random.default_rng(1).standard_normal(n)
+
+    expected = np.linalg.solve(np.linalg.cholesky(covariance), y)
+    assert whiten(y, keep1, keep2, var1, var2, noise) == pytest.approx(expected, rel=1e-9)
+
+
+def test_d_of_a_line_is_a_quarter_of_its_power_ratio():
+    # A^2 n / (4 S), with the folded density at its place: far above the knees no refit absorbs anything.
+    f = 3.3
+    effect = Effect("periodic_interference", 1e-4, {"frequency_hz": f, "phase_rad": 1.0})
+    at = int(np.argmin(np.abs(turns(PLANT) - 2 * pi * f * PLANT.interval_s)))
+    expected = (1e-4 * np.sinc(f * 0.02)) ** 2 * PLANT.n / (4 * spectrum(numbers(PLANT), PLANT)[at])
+
+    assert d_nats(RUN, effect) == pytest.approx(expected, rel=0.03)
+
+
+def test_d_of_a_changed_variance_in_half_the_record_is_its_expansion():
+    # n (d ln s^2)^2 / 16 for a half of the record, where white noise is nearly all there is.
+    plant = replace(PLANT, signal_sd_V=1e-6, drift_rate_V_per_rt_s=1e-9)
+    effect = Effect("changing_noise", 1.05, {"begin": 0.5, "end": 1.0})
+
+    assert d_nats(Run(plant, 1), effect) == pytest.approx(PLANT.n * (2 * log(1.05)) ** 2 / 16, rel=0.02)
+
+
+def test_d_of_difference_noise_is_the_mean_log_ratio_of_the_likelihoods():
+    # In white noise alone; the best base is the one white level with the same variance, so D has a closed form.
+    plant = replace(PLANT, signal_sd_V=1e-7, drift_rate_V_per_rt_s=1e-10)
+    ratio = 0.05
+    s = 1 + ratio * (2 - 2 * np.cos(turns(plant)))
+    expected = plant.n / 2 * (log(np.mean(s)) - np.mean(np.log(s)))
+    effect = Effect("difference_noise", plant.white_sd_V * sqrt(ratio))
+
+    assert d_nats(Run(plant, 1), effect) == pytest.approx(expected, rel=0.05)
+
+
+def test_a_size_is_found_for_a_d_and_none_where_there_is_none():
+    line = Effect("periodic_interference", 1.0, {"frequency_hz": 3.3, "phase_rad": 1.0})
+    sized = size_for(30.0, RUN, line, 1e-6, 1.0)
+
+    assert sized is not None
+    assert d_nats(RUN, sized) == pytest.approx(30.0, rel=0.05)
+    assert size_for(30.0, RUN, line, 1e-9, 1e-8) is None
+
+
+def test_a_clairvoyant_with_one_look_has_the_limit_of_a_single_test():
+    # At 5 %, two-sided: (1.96 + 1.645)^2 / 2.
+    assert clairvoyant_d95("difference_noise", 9000, level=0.05) == pytest.approx(6.5, abs=0.01)
+
+
+def test_the_twin_without_the_effect_has_the_same_noise():
+    effect = Effect("step", 1e-2, {"time_s": 100.0})
+    with_it, without = (make_record(replace(RUN, effects=effects)).value_V for effects in ((effect,), ()))
+
+    assert with_it - without == pytest.approx(template(RUN, effect) * 1e-2, abs=1e-15)
+
+
+def test_an_envelope_depends_on_its_salt_and_number_alone():
+    first, again, other = draw_envelope("salt", 1), draw_envelope("salt", 1), draw_envelope("pepper", 1)
+
+    assert repr(first) == repr(again)  # NaN is not equal to itself
+    assert first.run.seed != other.run.seed
+
+
+def test_every_cause_that_is_hidden_can_be_made_and_certified():
+    made = {*AT_INPUT, *NOISE, *AFTERWARDS, "shock_law"}
+
+    assert made == {*SINGLE, *OUTSIDE} == set(KINDS)
+
+
+def test_both_files_hold_the_record(tmp_path):
+    plant = replace(draw_plant(np.random.default_rng(1)), n=500, witness=True, lost_fraction=0.1)
+    record = make_record(Run(plant, 2))
+    write_csv(record, tmp_path / "a.csv")
+    write_mcap(record, tmp_path / "a.mcap", plant.interval_s)
+    table = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1)
+    with Recording(tmp_path / "a.mcap") as recording:
+        batches = list(recording.batches())
+    readings = np.concatenate([batch.readings for batch in batches])
+    witness = np.concatenate([batch.witnesses["temperature"] for batch in batches if batch.witnesses])
+
+    assert table[:, 1].tolist() == readings["value_V"].tolist() == record.value_V.tolist()
+    assert table[:, 0] == pytest.approx(record.time_s, abs=1e-9)
+    assert ((readings["t_ns"] - START_NS) * 1e-9).tolist() == pytest.approx(record.time_s.tolist(), abs=1e-9)
+    assert readings["index"].tolist() == record.index.tolist()
+    assert witness["value"].tolist() == record.witnesses["temperature"][1].tolist()
