@@ -7,6 +7,7 @@ from typing import Any
 
 from aemd.errors import ConfigError
 from aemd.estimate.aem import Aem, AemOptions
+from aemd.estimate.imm import Imm, ImmOptions
 from aemd.estimate.kalman import Kalman, KalmanOptions
 from aemd.estimate.lms import Lms, LmsOptions
 from aemd.estimate.protocol import Estimator
@@ -21,6 +22,7 @@ ESTIMATORS: dict[str, tuple[type[Any], type[Any]]] = {
     "kalman": (KalmanOptions, Kalman),
     "lms": (LmsOptions, Lms),
     "filterpy": (KalmanOptions, Filterpy),
+    "imm": (ImmOptions, Imm),
 }
 """Name -> its options (a frozen dataclass) and its class, made from options and the interval in seconds."""
 

@@ -1,0 +1,459 @@
+"""The compiled recursion of the interacting multiple model: arrays in, arrays out, and a state that is carried on.
+
+All functions stand in this one file because numba's cache notices a change only in the file of the function that is
+called from outside. Nothing is reordered or fused by the compiler (no fastmath), so the bits of a result depend on the
+readings alone, not on how the stream was cut.
+
+Letters (Blom and Bar-Shalom, IEEE Trans. Automatic Control 33, 780, 1988):
+
+    x, P   state of a mode, V, and its covariance, V^2: pairs (component and its quadrature), the slow part last
+    R      variance of a reading about the state, V^2, in mode 0 (quiet) and 1 (disturbed)
+    mu     probability of each mode
+    e, S   innovation, V, and its variance, V^2
+
+A function takes `pairs`, a tuple of zeros as long as there are pairs: the length of a tuple is known to the compiler,
+which then unrolls the loops over the state. That is worth a factor of two.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from aemd.block import ESTIMATE, NOT_A_VALUE, Status
+
+__all__ = ["ImmModel", "ImmState", "drain_imm", "run_imm", "start_imm"]
+
+Floats = NDArray[np.float64]
+
+COASTED, RESTARTED = int(Status.COASTED), int(Status.RESTARTED)
+NO_VALUE = NOT_A_VALUE
+NEVER = -(2**62)  # a reading's number where there has been none
+LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
+Z95 = 1.959963984540054  # a Gaussian is within this many standard deviations 95 % of the time
+NOTHING_KNOWN_V = 1000.0  # of an estimate before the first reading: the meter's largest range
+IMPOSSIBLE = 1e-30  # least probability of a mode: 0 would be divided by where a mode is always left at once
+LEAST_FACTOR = 1e-6  # readings that repeat to the last digit leave no errors to go by
+SURE = 1e-3  # a mode less probable than this moves the 95 % interval by less than one part in 200
+
+NOW = np.dtype(
+    [
+        ("index", "<i8"),  # of the last reading, NEVER before the first
+        ("hole", "<i8"),  # steps since the last reading that was taken in
+        ("disturbed", "<i8"),  # readings in a row whose mode is probably the disturbed one
+        ("held", "<i8"),  # estimates that the lag holds back
+        ("slot", "<i8"),  # where the next one goes; the oldest is there once the ring is full
+        ("origin", "<f8"),  # V; NaN until a reading has set it
+        ("factor", "<f8"),  # of all variances of the quiet mode, as followed
+    ]
+)
+"""What is carried from reading to reading, beside the modes."""
+
+
+class ImmModel(NamedTuple):
+    """The state model and its two noises, per reading."""
+
+    cos: Floats
+    """rho cos(theta) of each pair, shape (m,)."""
+    sin: Floats
+    """rho sin(theta)."""
+    Q: Floats
+    """Process noise of each, V^2."""
+    start: Floats
+    """Stationary variance of each, V^2."""
+    slow_phi: float
+    slow_Q: float
+    slow_start: float
+    R: Floats
+    """V^2, shape (2,)."""
+    leave: Floats
+    """Probability of leaving mode 0 and mode 1 before the next reading, shape (2,)."""
+    slow_is_input: int
+    """1 where the slow part is of the input, else 0."""
+    origin: float
+    """V; NaN: the first reading with a value."""
+    gate: float
+    restart_after: int
+    longest_disturbance: int
+    forgetting: float
+    """Weight of one reading in the factor of the variances; 0: the factor is 1."""
+
+
+class Held(NamedTuple):
+    """The inputs that the lag holds back, in each mode: a ring whose places are those of ImmState.rows."""
+
+    mean: Floats
+    """About the origin, V, shape (2, lag + 1)."""
+    variance: Floats
+    """V^2, shape (2, lag + 1)."""
+    cross: Floats
+    """Covariance with the present state, V^2, shape (2, lag + 1, n)."""
+
+
+class ImmState(NamedTuple):
+    """What is carried: the modes, and the estimates that the lag holds back."""
+
+    now: NDArray[np.void]
+    x: Floats
+    P: Floats
+    mu: Floats
+    held: Held
+    rows: NDArray[np.void]
+    """As they were when their reading came, array of ESTIMATE (lag + 1,); value_V is the origin, NaN if there was none,
+    and u_V the reading less its noise, about the origin (of a reading that was not taken in: u itself)."""
+    scratch: Floats
+    """P H' of each mode, shape (2, n)."""
+
+
+def start_imm(model: ImmModel, lag: int) -> ImmState:
+    """Return the state before the first reading."""
+    n = 2 * model.cos.size + 1
+    now = np.zeros(1, dtype=NOW)
+    now["index"] = NEVER
+    now["origin"] = model.origin
+    state = ImmState(
+        now=now,
+        x=np.zeros((2, n)),
+        P=np.zeros((2, n, n)),
+        mu=np.zeros(2),
+        held=Held(np.zeros((2, lag + 1)), np.zeros((2, lag + 1)), np.zeros((2, lag + 1, n))),
+        rows=np.zeros(lag + 1, dtype=ESTIMATE),
+        scratch=np.zeros((2, n)),
+    )
+    forget(state, model)
+    return state
+
+
+@njit(cache=True, nogil=True)
+def forget(state: ImmState, model: ImmModel) -> None:
+    """Return to what is known before any reading: the stationary law of every part, whatever the mode."""
+    n = state.x.shape[1]
+    now = state.now[0]
+    now.hole = now.disturbed = 0
+    now.origin = model.origin
+    now.factor = 1.0
+    state.x[:] = 0.0
+    state.P[:] = 0.0
+    state.held.cross[:] = 0.0
+    for j in range(2):
+        for i in range(model.cos.size):
+            state.P[j, 2 * i, 2 * i] = state.P[j, 2 * i + 1, 2 * i + 1] = model.start[i]
+        state.P[j, n - 1, n - 1] = model.slow_start
+        state.mu[j] = model.leave[1 - j] / (model.leave[0] + model.leave[1])
+
+
+@njit(cache=True, nogil=True)
+def mixing_shares(mu: Floats, leave: Floats) -> tuple[float, float, float, float]:
+    """Return the modes' probabilities at the next reading, and the share of mode 1 in what each then starts from.
+
+    mu'_j = sum_i mu_i p_ij, and the share is mu_1 p_1j / mu'_j.
+    """
+    new0 = mu[0] * (1.0 - leave[0]) + mu[1] * leave[1]
+    new1 = mu[0] * leave[0] + mu[1] * (1.0 - leave[1])
+    return new0, new1, mu[1] * leave[1] / new0, mu[1] * (1.0 - leave[1]) / new1
+
+
+@njit(cache=True, nogil=True)
+def mix(pairs: tuple[int, ...], x: Floats, P: Floats, gap: Floats, a: float, b: float) -> None:
+    """Give mode 0 mean and covariance of the mixture with share a of mode 1, mode 1 with b; x_0 - x_1 goes to `gap`."""
+    n = 2 * len(pairs) + 1
+    aa, bb = a * (1.0 - a), b * (1.0 - b)
+    for r in range(n):
+        gap[r] = x[0, r] - x[1, r]
+    for r in range(n):
+        for c in range(r, n):
+            square, quiet, step = gap[r] * gap[c], P[0, r, c], P[1, r, c] - P[0, r, c]
+            P[0, r, c] = P[0, c, r] = quiet + a * step + aa * square
+            P[1, r, c] = P[1, c, r] = quiet + b * step + bb * square
+    for r in range(n):
+        x[1, r] = x[0, r] - b * gap[r]
+        x[0, r] -= a * gap[r]
+
+
+@njit(cache=True, nogil=True)
+def mix_held(held: Held, count: int, slot: int, gap: Floats, a: float, b: float) -> None:
+    """Do the same to the held inputs and their covariance with the state."""
+    aa, bb = a * (1.0 - a), b * (1.0 - b)
+    mean, variance, cross = held
+    for i in range(count):
+        s = (slot - 1 - i) % mean.shape[1]
+        distance = mean[0, s] - mean[1, s]
+        quiet, step = variance[0, s], variance[1, s] - variance[0, s]
+        variance[0, s] = quiet + a * step + aa * distance * distance
+        variance[1, s] = quiet + b * step + bb * distance * distance
+        mean[1, s] = mean[0, s] - b * distance
+        mean[0, s] -= a * distance
+        for r in range(gap.size):
+            quiet, step = cross[0, s, r], cross[1, s, r] - cross[0, s, r]
+            cross[0, s, r] = quiet + a * step + aa * distance * gap[r]
+            cross[1, s, r] = quiet + b * step + bb * distance * gap[r]
+
+
+@njit(cache=True, nogil=True)
+def predict(
+    pairs: tuple[int, ...], x: Floats, P: Floats, j: int, cos: Floats, sin: Floats, Q: Floats, phi: float, slow_Q: float
+) -> None:
+    """Take mode j one reading on: x <- F x, P <- F P F' + Q; F turns and shrinks the pairs, shrinks the slow part."""
+    m, last = len(pairs), 2 * len(pairs)
+    for i in range(m):
+        r, co, si = 2 * i, cos[i], sin[i]
+        x[j, r], x[j, r + 1] = co * x[j, r] - si * x[j, r + 1], si * x[j, r] + co * x[j, r + 1]
+        for c in range(last + 1):
+            P[j, r, c], P[j, r + 1, c] = co * P[j, r, c] - si * P[j, r + 1, c], si * P[j, r, c] + co * P[j, r + 1, c]
+    x[j, last] *= phi
+    for c in range(last + 1):
+        P[j, last, c] *= phi
+    for i in range(m):
+        c, co, si = 2 * i, cos[i], sin[i]
+        for r in range(last + 1):
+            P[j, r, c], P[j, r, c + 1] = co * P[j, r, c] - si * P[j, r, c + 1], si * P[j, r, c] + co * P[j, r, c + 1]
+        P[j, c, c] += Q[i]
+        P[j, c + 1, c + 1] += Q[i]
+    for r in range(last + 1):
+        P[j, r, last] *= phi
+    P[j, last, last] += slow_Q
+
+
+@njit(cache=True, nogil=True)
+def predict_held(
+    pairs: tuple[int, ...], cross: Floats, count: int, slot: int, cos: Floats, sin: Floats, phi: float
+) -> None:
+    """Take the covariance of the held inputs with the state one reading on: C <- C F'."""
+    m, last = len(pairs), 2 * len(pairs)
+    for i in range(count):
+        s = (slot - 1 - i) % cross.shape[1]
+        for j in range(2):
+            for p in range(m):
+                r, co, si = 2 * p, cos[p], sin[p]
+                first, second = cross[j, s, r], cross[j, s, r + 1]
+                cross[j, s, r], cross[j, s, r + 1] = co * first - si * second, si * first + co * second
+            cross[j, s, last] *= phi
+
+
+@njit(cache=True, nogil=True)
+def expect(pairs: tuple[int, ...], x: Floats, P: Floats, PH: Floats, j: int, z: float, R: float) -> tuple[float, float]:
+    """Return e = z - H x and S = H P H' + R of mode j, H being the sum of all parts; leave P H' in row j of `PH`."""
+    m, last = len(pairs), 2 * len(pairs)
+    for r in range(last + 1):
+        PH[j, r] = P[j, r, last]
+        for i in range(m):
+            PH[j, r] += P[j, r, 2 * i]
+    e, S = z - x[j, last], PH[j, last] + R
+    for i in range(m):
+        e -= x[j, 2 * i]
+        S += PH[j, 2 * i]
+    return e, S
+
+
+@njit(cache=True, nogil=True)
+def update(pairs: tuple[int, ...], x: Floats, P: Floats, PH: Floats, j: int, e: float, S: float) -> None:
+    """Take a reading into mode j: x <- x + K e, P <- P - K S K', K = P H' / S."""
+    n = 2 * len(pairs) + 1
+    for r in range(n):
+        K = PH[j, r] / S
+        x[j, r] += K * e
+        for c in range(r, n):
+            P[j, r, c] = P[j, c, r] = P[j, r, c] - K * PH[j, c]
+
+
+@njit(cache=True, nogil=True)
+def update_held(
+    pairs: tuple[int, ...], held: Held, count: int, slot: int, PH: Floats, j: int, e: float, S: float
+) -> None:
+    """Take a reading into the held inputs of mode j, by their covariance with the state."""
+    m, last = len(pairs), 2 * len(pairs)
+    mean, variance, cross = held
+    for i in range(count):
+        s = (slot - 1 - i) % mean.shape[1]
+        CH = cross[j, s, last]
+        for p in range(m):
+            CH += cross[j, s, 2 * p]
+        K = CH / S
+        mean[j, s] += K * e
+        variance[j, s] -= K * CH
+        for r in range(last + 1):
+            cross[j, s, r] -= K * PH[j, r]
+
+
+@njit(cache=True, nogil=True)
+def hold(pairs: tuple[int, ...], held: Held, slot: int, x: Floats, P: Floats, slow_is_input: int) -> None:
+    """Put the present input into a slot, its mean, variance and covariance with the state in each mode."""
+    m, last = len(pairs), 2 * len(pairs)
+    mean, variance, cross = held
+    for j in range(2):
+        for r in range(last + 1):
+            cross[j, slot, r] = P[j, r, last] if slow_is_input else 0.0
+            for i in range(m):
+                cross[j, slot, r] += P[j, r, 2 * i]
+        mean[j, slot] = x[j, last] if slow_is_input else 0.0
+        variance[j, slot] = cross[j, slot, last] if slow_is_input else 0.0
+        for i in range(m):
+            mean[j, slot] += x[j, 2 * i]
+            variance[j, slot] += cross[j, slot, 2 * i]
+
+
+@njit(cache=True, nogil=True)
+def inside(h: float, d: float, sd: float) -> tuple[float, float]:
+    """Return how probably a Gaussian about d is within +-h, and the derivative by h."""
+    above, below = (h - d) / sd, (h + d) / sd
+    density = math.exp(-0.5 * above * above) + math.exp(-0.5 * below * below)
+    return 0.5 * (math.erf(above / math.sqrt(2.0)) + math.erf(below / math.sqrt(2.0))), density / sd / math.sqrt(
+        2 * math.pi
+    )
+
+
+@njit(cache=True, nogil=True)
+def merge(mu: Floats, mean0: float, mean1: float, variance0: float, variance1: float) -> tuple[float, float]:
+    """Return the mean of the mixture of both modes, and half its 95 % interval about that mean over 1.96.
+
+    The mixture has a narrow core and rare wide wings. Its standard deviation follows the wings, and an interval of
+    +-1.96 of those would hold the truth far more often than 95 % of the time. Newton's method, kept within a bracket.
+    """
+    value = mu[0] * mean0 + mu[1] * mean1
+    d0, d1 = mean0 - value, mean1 - value
+    sd0, sd1 = math.sqrt(max(variance0, 0.0)), math.sqrt(max(variance1, 0.0))
+    if mu[1] < SURE or sd0 == 0.0:
+        return value, sd0
+    if mu[0] < SURE or sd1 == 0.0:
+        return value, sd1
+    low, high = 0.0, max(abs(d0) + Z95 * sd0, abs(d1) + Z95 * sd1)
+    h = Z95 * (sd0 if mu[0] > mu[1] else sd1)
+    for _ in range(50):
+        in0, slope0 = inside(h, d0, sd0)
+        in1, slope1 = inside(h, d1, sd1)
+        missing = 0.95 - mu[0] * in0 - mu[1] * in1
+        if missing > 0.0:
+            low = h
+        else:
+            high = h
+        slope = mu[0] * slope0 + mu[1] * slope1
+        before = h
+        h = h + missing / slope if slope > 0.0 else high
+        if not low < h < high:
+            h = 0.5 * (low + high)
+        if abs(h - before) < 2e-3 * h:
+            break
+    return value, h / Z95
+
+
+@njit(cache=True, nogil=True)
+def rest(pairs: tuple[int, ...], x: Floats, j: int, z: float) -> float:
+    """Return what the state of mode j leaves of a reading, z - H x."""
+    left = z - float(x[j, 2 * len(pairs)])
+    for i in range(len(pairs)):
+        left -= x[j, 2 * i]
+    return left
+
+
+@njit(cache=True, nogil=True)
+def release(
+    rows: NDArray[np.void], held: Held, mu: Floats, factor: float, slot: int, out: NDArray[np.void], place: int
+) -> None:
+    """Write the estimate in a slot of the ring to a place of `out`, as all readings so far see it."""
+    row, estimate = rows[slot], out[place]
+    mean, variance, _ = held
+    value, sigma = merge(mu, mean[0, slot], mean[1, slot], factor * variance[0, slot], factor * variance[1, slot])
+    estimate.index, estimate.t_ns, estimate.status = row.index, row.t_ns, row.status
+    estimate.window, estimate.passes, estimate.spread, estimate.log_likelihood = 0, 0, 0.0, row.log_likelihood
+    estimate.u_V = row.u_V if row.status & COASTED else row.u_V - value
+    estimate.value_V, estimate.sigma_V = row.value_V + value, sigma
+    if math.isnan(row.value_V):
+        estimate.value_V, estimate.sigma_V = 0.0, NOTHING_KNOWN_V
+
+
+@njit(cache=True, nogil=True)
+def run_imm(
+    pairs: tuple[int, ...],
+    state: ImmState,
+    model: ImmModel,
+    index: NDArray[np.int64],
+    t_ns: NDArray[np.int64],
+    z: Floats,
+    status: NDArray[np.uint32],
+    out: NDArray[np.void],
+) -> int:
+    """Estimate; `state` becomes that after the last reading; return how many rows of `out` (ESTIMATE) are filled."""
+    # One array each: a tuple of arrays costs a count of references up and down at every call.
+    x, P, mu, held, rows, PH = state.x, state.P, state.mu, state.held, state.rows, state.scratch
+    cos, sin, Q, R, leave = model.cos, model.sin, model.Q, model.R, model.leave
+    phi, slow_Q = model.slow_phi, model.slow_Q
+    now, last = state.now[0], 2 * len(pairs)
+    released = 0
+    for k in range(z.size):
+        flags = status[k]
+        missing = index[k] - now.index - 1 if now.index != NEVER else 0
+        now.index = index[k]
+        if missing < 0 or now.hole + missing > model.restart_after or now.disturbed > model.longest_disturbance:
+            forget(state, model)
+            flags |= RESTARTED
+            missing = 0
+        for _ in range(missing + 1):
+            p0, p1, a, b = mixing_shares(mu, leave)
+            mix(pairs, x, P, PH[0], a, b)
+            predict(pairs, x, P, 0, cos, sin, Q, phi, slow_Q)
+            predict(pairs, x, P, 1, cos, sin, Q, phi, slow_Q)
+            mu[0], mu[1] = p0, p1
+            if now.held > 0:
+                mix_held(held, now.held, now.slot, PH[0], a, b)
+                predict_held(pairs, held.cross, now.held, now.slot, cos, sin, phi)
+        now.hole += missing
+
+        has_value = flags & NO_VALUE == 0 and math.isfinite(z[k])
+        if has_value and math.isnan(now.origin):
+            now.origin = z[k]
+        y = z[k] - now.origin if has_value else 0.0
+        e0, S0 = expect(pairs, x, P, PH, 0, y, R[0])
+        e1, S1 = expect(pairs, x, P, PH, 1, y, R[0] + (R[1] - R[0]) / now.factor)
+        likelihood = 0.0
+        if has_value and e1 * e1 <= model.gate * model.gate * S1 * now.factor:
+            update(pairs, x, P, PH, 0, e0, S0)
+            update(pairs, x, P, PH, 1, e1, S1)
+            if now.held > 0:
+                update_held(pairs, held, now.held, now.slot, PH, 0, e0, S0)
+                update_held(pairs, held, now.held, now.slot, PH, 1, e1, S1)
+            # Bayes' rule; the larger exponent is taken out first, so that not both densities can underflow.
+            g0, g1 = -0.5 * e0 * e0 / (S0 * now.factor), -0.5 * e1 * e1 / (S1 * now.factor)
+            g = max(g0, g1)
+            p0 = mu[0] * math.exp(g0 - g) / math.sqrt(S0)
+            p1 = mu[1] * math.exp(g1 - g) / math.sqrt(S1)
+            mu[0], mu[1] = max(p0 / (p0 + p1), IMPOSSIBLE), max(p1 / (p0 + p1), IMPOSSIBLE)
+            likelihood = math.log((p0 + p1) / math.sqrt(now.factor)) + g - LOG_ROOT_2PI
+            # The reading less its noise: in each mode the noise has its share of what the state leaves.
+            u = (
+                y
+                - mu[0] * rest(pairs, x, 0, y)
+                - mu[1] * rest(pairs, x, 1, y) * (R[0] / (R[0] + (R[1] - R[0]) / now.factor))
+            )
+            now.factor = max(now.factor + model.forgetting * mu[0] * (e0 * e0 / S0 - now.factor), LEAST_FACTOR)
+            now.hole = 0
+            now.disturbed = now.disturbed + 1 if mu[1] > 0.5 else 0
+        else:
+            u = 0.0 if model.slow_is_input else mu[0] * x[0, last] + mu[1] * x[1, last]
+            flags |= COASTED
+            now.hole += 1
+
+        slot = now.slot
+        hold(pairs, held, slot, x, P, model.slow_is_input)
+        row = rows[slot]
+        row.index, row.t_ns, row.status, row.log_likelihood = index[k], t_ns[k], flags, likelihood
+        row.value_V, row.u_V = now.origin, u
+        now.slot = slot + 1 if slot + 1 < rows.size else 0
+        now.held += 1
+        if now.held == rows.size:
+            release(rows, held, mu, now.factor, now.slot, out, released)
+            now.held -= 1
+            released += 1
+    return released
+
+
+@njit(cache=True, nogil=True)
+def drain_imm(state: ImmState, out: NDArray[np.void]) -> int:
+    """Write the estimates that the lag still holds back, the oldest first; return how many."""
+    now, size = state.now[0], state.rows.size
+    waiting = int(now.held)
+    for i in range(waiting):
+        release(state.rows, state.held, state.mu, now.factor, (now.slot - waiting + i) % size, out, i)
+    now.held = 0
+    return waiting
