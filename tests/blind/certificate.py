@@ -9,7 +9,8 @@ Shocks and lost readings are left out, so D is then a little too large. Kind of 
 
     mean         deterministic, given the draws (phases, shock times, temperature, the readings it bends): as above
     covariance   Gaussian: as above
-    popcorn      its covariance only, so D is too small: the two levels tell more
+    path         telegraph noise: the mean's D of the path as drawn, less what the path itself costs who does not know
+                 it, ln(stay/interval) + 1 for each jump (a lower bound)
     innovation   noise that is not Gaussian or not stationary: as if innovations were independent, with their variance
     counted      nothing is refitted: the effect is seen by counting, and a size is drawn instead of a D
 """
@@ -38,7 +39,7 @@ KINDS = dict.fromkeys(AT_INPUT, "mean") | {
     "resonance": "covariance",
     "difference_noise": "covariance",
     "smoothing": "covariance",
-    "popcorn_noise": "popcorn",
+    "popcorn_noise": "path",
     "changing_noise": "innovation",
     "signal_dependent_noise": "innovation",
     "heavy_tails": "innovation",
@@ -51,6 +52,7 @@ KINDS = dict.fromkeys(AT_INPUT, "mean") | {
     "replayed_block": "counted",
     "missing_samples": "counted",
     "timestamp_jitter": "counted",
+    "clock_error": "counted",
     "dead_band": "counted",
     "ooc_echo": "covariance",
     "ooc_gain_step": "mean",
@@ -64,12 +66,12 @@ def d_nats(run: Run, effect: Effect) -> float:
     if kind == "counted":
         return float("nan")
     if kind == "innovation":
-        return n * innovation_kl(plant, effect, len(clean(run)[1]))
+        return n * innovation_kl(plant, effect, len(make_world(run).shocks))
     clean_s = spectrum(theta, plant)
-    if kind == "mean":
-        return refit(theta, plant, clean_s, effect.size * unit_template(run, effect)) - refit(
-            theta, plant, clean_s, None
-        )
+    if kind in ("mean", "path"):
+        unit = unit_template(run, effect)
+        known = refit(theta, plant, clean_s, effect.size * unit) - refit(theta, plant, clean_s, None)
+        return known - (path_cost(unit, effect, plant) if kind == "path" else 0.0)
     return refit(theta, plant, EXTENDED[effect.cause](clean_s, effect, plant), None)
 
 
@@ -184,10 +186,9 @@ def whiten(y: np.ndarray, keep1: float, keep2: float, var1: float, var2: float, 
     return out
 
 
-def clean(run: Run) -> tuple[np.ndarray, list[tuple[float, float]]]:
-    """Return the readings of the twin without effects and losses, and its shocks."""
-    twin = replace(run, effects=(), plant=replace(run.plant, lost_fraction=0.0))
-    return make_record(twin).value_V, make_world(twin).shocks
+def calm(run: Run) -> np.ndarray:
+    """Return the readings of the twin without effects, losses and shocks."""
+    return make_record(replace(run, effects=(), plant=replace(run.plant, lost_fraction=0.0, shocks_per_s=0.0))).value_V
 
 
 def unit_template(run: Run, effect: Effect) -> np.ndarray:
@@ -195,7 +196,7 @@ def unit_template(run: Run, effect: Effect) -> np.ndarray:
         return template(run, effect)
     if effect.cause == "reading_pattern":
         return (np.arange(run.plant.n) % int(effect.shape["period_readings"]) == 0).astype(float)
-    value = clean(run)[0]
+    value = calm(run)
     deviation = value - value.mean()
     if effect.cause == "ooc_gain_step":
         return np.where(np.arange(run.plant.n) * run.plant.interval_s >= effect.shape["time_s"], deviation, 0.0)
@@ -210,17 +211,19 @@ def with_resonance(s: np.ndarray, effect: Effect, plant: Plant) -> np.ndarray:
     return s + effect.size**2 * seen * both / 2
 
 
-def with_popcorn(s: np.ndarray, effect: Effect, plant: Plant) -> np.ndarray:
-    keep = exp(-2 * plant.interval_s / effect.shape["dwell_s"])
-    return s + effect.size**2 / 4 * markov_spectrum(keep, turns(plant))
+def path_cost(path: np.ndarray, effect: Effect, plant: Plant) -> float:
+    jumps = np.count_nonzero(np.diff(path > 0.5))
+    return jumps * (1 + log(effect.shape["dwell_s"] / plant.interval_s))
 
 
 EXTENDED: dict[str, Callable[[np.ndarray, Effect, Plant], np.ndarray]] = {
     "resonance": with_resonance,
-    "popcorn_noise": with_popcorn,
     "difference_noise": lambda s, effect, plant: s + effect.size**2 * (2 - 2 * np.cos(turns(plant))),
     "smoothing": lambda s, effect, plant: (
         s * (1 - effect.size) ** 2 / (1 - 2 * effect.size * np.cos(turns(plant)) + effect.size**2)
+    ),
+    "ooc_echo": lambda s, effect, plant: (
+        s * (1 + 2 * effect.size * np.cos(effect.shape["lag_readings"] * turns(plant)) + effect.size**2)
     ),
 }
 

@@ -45,9 +45,10 @@ SINGLE = (
     "replayed_block",
     "missing_samples",
     "timestamp_jitter",
+    "clock_error",
 )
 """Hidden alone. Flicker noise, a random walk and a third Markov process are not among them: on records of these lengths
-the refitted base absorbs them. Nor are range switching, clock error, latency and supply coupling, not written yet."""
+the refitted base absorbs them. Nor are range switching, latency and supply coupling: not written yet."""
 OUTSIDE = ("ooc_packet", "ooc_bump", "ooc_echo", "ooc_gain_step")
 DOUBLE = ("periodic_interference", "difference_noise", "changing_noise", "quantisation", "reading_pattern", "resonance")
 
@@ -88,6 +89,8 @@ def draw_envelope(salt: str, number: int) -> Envelope:
             factor = 2.0 if group == "outside" else factor
             effects = [draw_effect(rng, run, str(rng.choice(OUTSIDE if group == "outside" else SINGLE)), factor)]
         hidden = [effect for effect in effects if effect is not None]
+        if any(effect.cause == "clock_error" for effect in hidden):
+            suffix = ".mcap"  # a table does not say how long its interval should be
         if len(hidden) == len(effects):
             d = tuple(d_nats(run, effect) for effect in hidden)
             counted = any(KINDS[effect.cause] == "counted" for effect in hidden)
@@ -163,6 +166,7 @@ COUNTED = {
     "replayed_block": (10.0, 100.0),
     "missing_samples": (0.005, 0.05),
     "timestamp_jitter": (0.003, 0.02),
+    "clock_error": (200.0, 2000.0),
 }
 """Ranges of sizes, from small but plain to large; those in IN_VOLTS in standard deviations of the signal."""
 IN_VOLTS = ("quantisation", "dead_band")

@@ -241,6 +241,11 @@ def jitter(world: World, effect: Effect, record: Record) -> Record:
     )
 
 
+def clock_error(world: World, effect: Effect, record: Record) -> Record:
+    """size: parts in a million by which the stamps run fast."""
+    return replace(record, time_s=record.time_s * (1 + 1e-6 * effect.size))
+
+
 def echo(world: World, effect: Effect, record: Record) -> Record:
     """Outside the catalogue: `size` times the reading `lag_readings` before it, as an absorbing dielectric gives."""
     lag, deviation = int(effect.shape["lag_readings"]), record.value_V - record.value_V.mean()
@@ -264,6 +269,7 @@ AFTERWARDS: Mapping[str, Callable[[World, Effect, Record], Record]] = {
     "replayed_block": replayed,
     "missing_samples": missing,
     "timestamp_jitter": jitter,
+    "clock_error": clock_error,
     "ooc_echo": echo,
     "ooc_gain_step": gain_step,
 }

@@ -10,7 +10,7 @@ import pytest
 
 from aemd.record.reader import Recording
 from tests.blind.certificate import KINDS, clairvoyant_d95, d_nats, numbers, size_for, spectrum, turns, whiten
-from tests.blind.envelope import OUTSIDE, SINGLE, draw_envelope, draw_plant
+from tests.blind.envelope import OUTSIDE, RANGES, SINGLE, draw_envelope, draw_plant, draw_shape
 from tests.blind.files import START_NS, write_csv, write_mcap
 from tests.blind.injector import AFTERWARDS, AT_INPUT, NOISE, make_record, template
 from tests.blind.plant import Effect, Plant, Run, markov
@@ -89,15 +89,16 @@ def test_a_line_shows_at_its_fold_with_what_the_aperture_leaves_of_it():
 
 
 def test_a_resonance_has_unit_variance_and_rings_for_its_quality():
-    plant = replace(PLANT, n=20_000)
+    plant = replace(PLANT, n=60_000)
     seen = template(Run(plant, 5), Effect("resonance", 1.0, {"frequency_hz": 2.0, "quality": 5.0}))
-    lag_s, decay_s = plant.interval_s, 5 / (pi * 2)
+    decay_s, lag = 5 / (pi * 2), 8
+    lag_s = lag * plant.interval_s
     attenuated = np.sinc(2.0 * 0.02) ** 2
-    tolerance = 5 * sqrt(2 * decay_s / (plant.n * lag_s))
+    tolerance = 5 * sqrt(2 * decay_s / (plant.n * plant.interval_s))
 
     assert seen.var() == pytest.approx(attenuated, abs=tolerance)
     expected = attenuated * exp(-lag_s / decay_s) * np.cos(2 * pi * 2 * lag_s)
-    assert np.mean(seen[1:] * seen[:-1]) == pytest.approx(expected, abs=tolerance)
+    assert np.mean(seen[lag:] * seen[:-lag]) == pytest.approx(expected, abs=tolerance)
 
 
 def test_whitening_is_that_of_the_dense_covariance():
@@ -171,6 +172,19 @@ def test_every_cause_that_is_hidden_can_be_made_and_certified():
     made = {*AT_INPUT, *NOISE, *AFTERWARDS, "shock_law"}
 
     assert made == {*SINGLE, *OUTSIDE} == set(KINDS)
+
+
+@pytest.mark.parametrize("cause", [cause for cause in (*SINGLE, *OUTSIDE) if KINDS[cause] != "counted"])
+def test_every_effect_that_is_not_counted_has_a_d_that_grows_with_its_size(cause):
+    plant = replace(PLANT, n=1000, shocks_per_s=0.2, shock_sd_V=1e-2, witness=True)
+    shape = None
+    for seed in range(99):
+        shape = draw_shape(np.random.default_rng(seed), plant, cause) if shape is None else shape
+    size = {"nonlinearity": 50.0, "changing_noise": 2.0}.get(cause, 0.3 if cause in RANGES else 1e-2)
+    small, large = (d_nats(Run(plant, 1), Effect(cause, factor * size, shape)) for factor in (1.0, 1.5))
+
+    assert 0 < small < large
+    assert np.isfinite(large)
 
 
 def test_both_files_hold_the_record(tmp_path):
