@@ -13,13 +13,14 @@ from tests.blind.score import Pair
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.blind", description=__doc__)
-    parser.add_argument("--runs", type=int, default=300)
+    parser.add_argument("--runs", type=int, default=300, help="of the envelope mix")
+    parser.add_argument("--rungs", type=int, default=8, help="of each mechanism, at 1.25 times the clairvoyant's limit")
     parser.add_argument("--seed", help="the salt; without it a secret one, told in the report")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "REPORT.md")
     options = parser.parse_args()
     salt = options.seed or secrets.token_hex(16)
-    envelopes, key_hash = seal(salt, options.runs, options.jobs)
+    envelopes, key_hash = seal(salt, options.runs, options.rungs, options.jobs)
     print(f"sealed {len(envelopes)} envelopes, key SHA-256 {key_hash}", file=sys.stderr)
     pairs = []
     for envelope, answer in zip(envelopes, run_all(envelopes, options.jobs), strict=True):

@@ -13,10 +13,22 @@ import numpy as np
 from tests.blind.certificate import KINDS, clairvoyant_d95, d_nats, size_for
 from tests.blind.plant import Effect, Plant, Run
 
-__all__ = ["BELOW_D", "FACTORS", "OUTSIDE", "SINGLE", "Envelope", "draw_effect", "draw_envelope", "draw_plant"]
+__all__ = [
+    "BELOW_D",
+    "FACTORS",
+    "OUTSIDE",
+    "SINGLE",
+    "Envelope",
+    "draw_effect",
+    "draw_envelope",
+    "draw_ladder",
+    "draw_plant",
+]
 
 FACTORS = (0.6, 0.8, 1.0, 1.25, 1.6)
 """Of the amplitude at which a clairvoyant detects in 95 %."""
+LADDER = 1.25
+LADDER_STREAM = 1 << 32  # apart from every envelope's number
 BELOW_D = 1.5  # nats: nobody detects that at these levels
 
 SINGLE = (
@@ -59,7 +71,7 @@ class Envelope:
 
     number: int
     group: str
-    """clean, provocative, single, double, outside or below."""
+    """clean, provocative, single, double, outside, below, or ladder."""
     run: Run
     suffix: str
     d_nats: tuple[float, ...] = ()
@@ -95,6 +107,20 @@ def draw_envelope(salt: str, number: int) -> Envelope:
             d = tuple(d_nats(run, effect) for effect in hidden)
             counted = any(KINDS[effect.cause] == "counted" for effect in hidden)
             return Envelope(number, group, replace(run, effects=tuple(hidden)), suffix, d, 0.0 if counted else factor)
+
+
+def draw_ladder(salt: str, number: int) -> Envelope:
+    """Return an envelope with one effect at LADDER times the clairvoyant's amplitude, each mechanism in turn."""
+    rng = np.random.default_rng([*salt.encode(), LADDER_STREAM, number])
+    cause = SINGLE[number % len(SINGLE)]
+    suffix = ".csv" if rng.random() < 0.5 and cause != "clock_error" else ".mcap"
+    while True:
+        run = Run(draw_plant(rng), int(rng.integers(2**62)))
+        effect = draw_effect(rng, run, cause, LADDER)
+        if effect is not None:
+            d = (d_nats(run, effect),)
+            factor = 0.0 if KINDS[cause] == "counted" else LADDER
+            return Envelope(number, "ladder", replace(run, effects=(effect,)), suffix, d, factor)
 
 
 def draw_plant(rng: np.random.Generator, *, provocative: bool = False) -> Plant:

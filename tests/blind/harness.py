@@ -5,7 +5,7 @@ import json
 import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -16,7 +16,7 @@ import numpy as np
 from aemd.diagnose import diagnose
 from aemd.errors import AemdError
 from tests.blind.baseline import suspect
-from tests.blind.envelope import Envelope, draw_envelope
+from tests.blind.envelope import SINGLE, Envelope, draw_envelope, draw_ladder
 from tests.blind.files import write_csv, write_mcap
 from tests.blind.injector import make_record
 from tests.blind.plant import Record
@@ -37,10 +37,16 @@ class Answer:
     baseline: tuple[str, ...]
 
 
-def seal(salt: str, runs: int, jobs: int) -> tuple[list[Envelope], str]:
-    """Draw the envelopes; return them and the key's hash, to be published before anything is run."""
+def seal(salt: str, runs: int, rungs: int, jobs: int) -> tuple[list[Envelope], str]:
+    """Draw `runs` envelopes and `rungs` for each mechanism; return them, shuffled, and the key's hash.
+
+    The hash is to be published before anything is run.
+    """
     with pool(jobs) as workers:
         envelopes = list(workers.map(partial(draw_envelope, salt), range(runs), chunksize=4))
+        envelopes += workers.map(partial(draw_ladder, salt), range(rungs * len(SINGLE)), chunksize=4)
+    np.random.default_rng([*salt.encode()]).shuffle(envelopes)
+    envelopes = [replace(envelope, number=number) for number, envelope in enumerate(envelopes)]
     key = json.dumps([asdict(envelope) for envelope in envelopes], sort_keys=True)
     return envelopes, hashlib.sha256(key.encode()).hexdigest()
 

@@ -235,10 +235,9 @@ def missing(world: World, effect: Effect, record: Record) -> Record:
 
 
 def jitter(world: World, effect: Effect, record: Record) -> Record:
-    """size: s."""
-    return replace(
-        record, time_s=record.time_s + effect.size * np.abs(world.rng("jitter").standard_normal(record.time_s.size))
-    )
+    """size: s. Stamps are late, and in order, since a host stamps what arrives."""
+    late_s = effect.size * np.abs(world.rng("jitter").standard_normal(record.time_s.size))
+    return replace(record, time_s=np.sort(record.time_s + late_s))
 
 
 def clock_error(world: World, effect: Effect, record: Record) -> Record:

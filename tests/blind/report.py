@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from tests.blind.certificate import LEVEL
 from tests.blind.envelope import FACTORS
 from tests.blind.score import (
+    ALONE,
     Pair,
     both_named,
     clean_alarms,
@@ -13,6 +14,7 @@ from tests.blind.score import (
     coverage,
     found,
     in_set,
+    leak,
     named,
     rows,
     share_band,
@@ -25,7 +27,7 @@ Share = tuple[int, int]
 
 def write_report(pairs: Sequence[Pair], *, salt: str, key_hash: str, covered: Sequence[str]) -> str:
     """Return the report as Markdown."""
-    singles = [pair for pair in pairs if pair.envelope.group == "single"]
+    singles = [pair for pair in pairs if pair.envelope.group in ALONE]
     told = [pair for pair in singles if found(pair)]
     failed = [pair.answer.verdict for pair in pairs if pair.answer.verdict.startswith("failed")]
     lines = [
@@ -82,6 +84,11 @@ def write_report(pairs: Sequence[Pair], *, salt: str, key_hash: str, covered: Se
                 ("95 % intervals that hold the truth", pooled(coverage(pairs).values())),
             )
         ),
+        "",
+        "Names are counted whether or not the data could tell the rivals apart: the D against the nearest rival is not",
+        "computed yet. Leak probe, areas under the curve (0.5 is chance): "
+        + ", ".join(f"{name} {area:.2f}" for name, area in leak(pairs).items())
+        + ".",
         "",
         "## Intervals",
         "",

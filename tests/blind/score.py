@@ -19,7 +19,25 @@ from tests.blind.envelope import Envelope
 from tests.blind.harness import Answer
 from tests.blind.plant import Effect, Plant
 
-__all__ = ["Pair", "Row", "clean_alarms", "confusion", "coverage", "found", "named", "rows", "share_band"]
+__all__ = [
+    "ALONE",
+    "Pair",
+    "Row",
+    "both_named",
+    "clean_alarms",
+    "confident_wrong",
+    "confusion",
+    "coverage",
+    "found",
+    "in_set",
+    "leak",
+    "named",
+    "rows",
+    "share_band",
+]
+
+ALONE = ("single", "ladder")
+"""Groups in which one effect of the catalogue is hidden."""
 
 SURE = 0.9  # probability from which a name is a confident one
 
@@ -74,7 +92,7 @@ class Row:
 
 def rows(pairs: Sequence[Pair], covered: Sequence[str]) -> list[Row]:
     """Return a row for each mechanism that was hidden alone."""
-    alone = [pair for pair in pairs if pair.envelope.group == "single"]
+    alone = [pair for pair in pairs if pair.envelope.group in ALONE]
     made = []
     for cause in sorted({pair.causes[0] for pair in alone}):
         mine = [pair for pair in alone if pair.causes[0] == cause]
@@ -137,7 +155,7 @@ def confusion(pairs: Sequence[Pair]) -> dict[str, Counter[str]]:
     """Return what each mechanism, hidden alone or outside the catalogue, was called first."""
     table: dict[str, Counter[str]] = {}
     for pair in pairs:
-        if pair.envelope.group in ("single", "outside"):
+        if pair.envelope.group in (*ALONE, "outside"):
             said = pair.findings[0]["cause"] if pair.findings else "(nothing)"
             table.setdefault(pair.causes[0], Counter())[said] += 1
     return table
@@ -182,6 +200,29 @@ def true_parameters(effect: Effect, plant: Plant) -> dict[str, float]:
         },
         "periodic_glitch": {"period_s": effect.shape.get("period_s", 0.0), "amplitude_V": effect.size},
     }.get(effect.cause, {})
+
+
+def leak(pairs: Sequence[Pair]) -> dict[str, float]:
+    """Return how well what surrounds the readings tells clean files from others: areas under the curve, 0.5 is chance.
+
+    Ladder runs are left out. Length, rate and the like are drawn before what is hidden, but drawn again where a plant
+    could not carry it.
+    """
+    mixed = [pair for pair in pairs if pair.envelope.group != "ladder"]
+    hidden = np.array([bool(pair.causes) for pair in mixed if pair.envelope.group != "provocative"])
+    plants = [pair.envelope for pair in mixed if pair.envelope.group != "provocative"]
+    features = {
+        "readings": [envelope.run.plant.n for envelope in plants],
+        "interval": [envelope.run.plant.interval_s for envelope in plants],
+        "format": [envelope.suffix == ".csv" for envelope in plants],
+        "thermometer": [envelope.run.plant.witness for envelope in plants],
+    }
+    areas = {}
+    for name, values in features.items():
+        column = np.array(values, dtype=float)
+        above = np.sign(np.subtract.outer(column[hidden], column[~hidden]))
+        areas[name] = float(np.mean(above) / 2 + 0.5) if above.size else float("nan")
+    return areas
 
 
 def share_band(hits: int, tries: int) -> tuple[float, float]:
