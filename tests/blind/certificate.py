@@ -5,17 +5,18 @@ D = E[log p(readings | plant with the effect)] - E[log p(readings | the best pla
 The best plant is found by refitting all five numbers of the clean plant, so what it absorbs is no part of D. A change
 of covariance costs n/2 times the mean over the spectrum of log(S'/S) + S/S' - 1 (asymptotic; S folded, apertures
 included); a change of the mean costs half the energy of what the refitted plant's whitening leaves of it (exact).
-Shocks and lost readings are left out, so D is then a little too large. Kind of D by cause, in KINDS below:
+Shocks and lost readings are left out: with them D is a little smaller, and much smaller where shocks of the plant can
+imitate the effect, as they can a step. Kind of D by cause, in KINDS below:
 
     mean         deterministic, given the draws (phases, shock times, temperature, the readings it bends): as above
-    covariance   Gaussian: as above
+    covariance   Gaussian: as above; where the noise changes, segment by segment
     path         telegraph noise: the mean's D of the path as drawn, less what the path itself costs who does not know
                  it, ln(stay/interval) + 1 for each jump (a lower bound)
     innovation   noise that is not Gaussian or not stationary: as if innovations were independent, with their variance
     counted      nothing is refitted: the effect is seen by counting, and a size is drawn instead of a D
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import exp, log, sqrt
 
@@ -40,7 +41,7 @@ KINDS = dict.fromkeys(AT_INPUT, "mean") | {
     "difference_noise": "covariance",
     "smoothing": "covariance",
     "popcorn_noise": "path",
-    "changing_noise": "innovation",
+    "changing_noise": "covariance",
     "signal_dependent_noise": "innovation",
     "heavy_tails": "innovation",
     "shock_law": "innovation",
@@ -70,9 +71,13 @@ def d_nats(run: Run, effect: Effect) -> float:
     clean_s = spectrum(theta, plant)
     if kind in ("mean", "path"):
         unit = unit_template(run, effect)
-        known = refit(theta, plant, clean_s, effect.size * unit) - refit(theta, plant, clean_s, None)
+        known = refit(theta, plant, [(1.0, clean_s)], effect.size * unit)
         return known - (path_cost(unit, effect, plant) if kind == "path" else 0.0)
-    return refit(theta, plant, EXTENDED[effect.cause](clean_s, effect, plant), None)
+    if effect.cause == "changing_noise":
+        part = effect.shape["end"] - effect.shape["begin"]
+        changed_s = clean_s + (effect.size**2 - 1) * plant.white_sd_V**2
+        return refit(theta, plant, [(1 - part, clean_s), (part, changed_s)], None)
+    return refit(theta, plant, [(1.0, EXTENDED[effect.cause](clean_s, effect, plant))], None)
 
 
 def size_for(d_target: float, run: Run, effect: Effect, low: float, high: float) -> Effect | None:
@@ -145,14 +150,15 @@ def spectrum(theta: np.ndarray, plant: Plant) -> np.ndarray:
     return first + second + exp(theta[4])
 
 
-def refit(theta: np.ndarray, plant: Plant, true_s: np.ndarray, mean: np.ndarray | None) -> float:
-    """Return the least that the best clean plant loses."""
+def refit(
+    theta: np.ndarray, plant: Plant, true_s: Sequence[tuple[float, np.ndarray]], mean: np.ndarray | None
+) -> float:
+    """Return the least that the best clean plant loses; the true spectrum in segments, each with its share."""
 
     def loss(numbers: np.ndarray) -> float:
         s = spectrum(numbers, plant)
-        ratio = true_s / s
-        lost = plant.n / 2 * float(np.mean(ratio - np.log(ratio) - 1))
-        return lost + (0.0 if mean is None else energy(numbers, plant, mean) / 2)
+        lost = sum(share * float(np.mean(true / s - np.log(true / s) - 1)) for share, true in true_s)
+        return plant.n / 2 * lost + (0.0 if mean is None else energy(numbers, plant, mean) / 2)
 
     box = [(value - 6, value + 6) for value in theta]
     return float(minimize(loss, theta, method="L-BFGS-B", bounds=box, options={"maxiter": 60}).fun)
@@ -238,10 +244,6 @@ def innovation_kl(plant: Plant, effect: Effect, shocks: int) -> float:
         positive = (1 + effect.size) / 2
         odds = np.array([positive, 1 - positive])
         return shocks * float(np.sum(odds * np.log(2 * odds, where=odds > 0, out=np.zeros(2)))) / plant.n
-    if effect.cause == "changing_noise":
-        part = effect.shape["end"] - effect.shape["begin"]
-        changed = variance + (effect.size**2 - 1) * plant.white_sd_V**2
-        return (log(part * changed + (1 - part) * variance) - part * log(changed) - (1 - part) * log(variance)) / 2
     if effect.cause == "signal_dependent_noise":
         nodes, weights = np.polynomial.hermite_e.hermegauss(61)
         spread = np.sum(np.exp(numbers(plant)[[0, 2]]))

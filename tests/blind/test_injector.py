@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from aemd.record.reader import Recording
 from tests.blind.certificate import KINDS, clairvoyant_d95, d_nats, numbers, size_for, spectrum, turns, whiten
@@ -138,6 +139,65 @@ def test_d_of_difference_noise_is_the_mean_log_ratio_of_the_likelihoods():
     effect = Effect("difference_noise", plant.white_sd_V * sqrt(ratio))
 
     assert d_nats(Run(plant, 1), effect) == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        Effect("warmup_drift", 2e-2, {"tau_s": 20.0}),
+        Effect("step", 6e-3, {"time_s": 90.0}),
+        Effect("difference_noise", 6e-4),
+    ],
+    ids=lambda effect: effect.cause,
+)
+def test_d_is_what_a_fit_with_the_effect_gains_over_one_without(effect):
+    # Fits to drawn readings by the exact likelihood; the mean of a few gains lies about D within their scatter, about
+    # sqrt(2 D) each, and the half nats that the free numbers of either side bring.
+    run = Run(replace(PLANT, n=1500), 0)
+    gains = []
+    for seed in range(5):
+        drawn = replace(run, seed=seed)
+        with_it, without = (make_record(replace(drawn, effects=effects)).value_V for effects in ((effect,), ()))
+        if effect.cause == "difference_noise":  # known exactly: white noise of the plant, then that of the effect
+            w = turns(run.plant)
+            density = spectrum(numbers(run.plant), run.plant) + effect.size**2 * (2 - 2 * np.cos(w))
+            power = np.abs(np.fft.rfft(with_it - with_it.mean())[1 : run.plant.n // 2]) ** 2 / run.plant.n
+            best = least_loss(run.plant, power)
+            gains.append(best - float(np.sum(np.log(density) + power / density)))
+        else:
+            gains.append(least_exact(run.plant, with_it) - least_exact(run.plant, without))
+    d = d_nats(run, effect)
+
+    assert np.mean(gains) == pytest.approx(d, abs=3 * sqrt(2 * d / 5) + 3)
+
+
+def fitted(plant, loss):
+    start = numbers(plant)
+    results = [
+        minimize(loss, start + shift, method="L-BFGS-B", bounds=[(v - 6, v + 6) for v in start]).fun
+        for shift in (0.0, np.array([0.3, -0.3, 1.0, -1.0, 0.1]))
+    ]
+    return min(results)
+
+
+def least_loss(plant, power):
+    def loss(theta):
+        density = spectrum(theta, plant)
+        return float(np.sum(np.log(density) + power / density))
+
+    return fitted(plant, loss)
+
+
+def least_exact(plant, y):
+    def loss(theta):
+        keeps = [exp(-plant.interval_s / exp(theta[j])) for j in (1, 3)]
+        white, level = (whiten(column, *keeps, *np.exp(theta[[0, 2, 4]])) for column in (y, np.ones(plant.n)))
+        scale = spectrum(theta, plant)  # the mean of its log is that of the innovations' variance (Kolmogorov)
+        return float(white @ white - (white @ level) ** 2 / (level @ level)) / 2 + plant.n / 2 * float(
+            np.mean(np.log(scale))
+        )
+
+    return fitted(plant, loss)
 
 
 def test_a_size_is_found_for_a_d_and_none_where_there_is_none():
