@@ -14,11 +14,11 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from aemd.acquire.instrument import find_driver, find_simulator
-from aemd.errors import ConfigError, UsageError, not_among
+from aemd.errors import ConfigError, RecordingError, UsageError, not_among
 from aemd.estimate.registry import ESTIMATORS
 from aemd.record.description import Description, read_parameters, write_parameters
 
@@ -65,7 +65,7 @@ class RecordingOptions:
 
     directory: str = "."
     """Folder of the recordings; made when it is not there."""
-    flush_interval_s: Annotated[float, Gt(0)] = 1.0
+    flush_interval_s: Annotated[float, Gt(0), Le(3600)] = 1.0
     """What a kill or a power cut can lose at most, s; shorter makes larger files."""
     chunk_bytes: Annotated[int, Ge(4096)] = 1 << 20
     """A chunk is closed at this size even before the interval is over."""
@@ -73,6 +73,10 @@ class RecordingOptions:
     """Of the chunks."""
     durability: Literal["power", "crash"] = "power"
     """`power` syncs every flush to the disk; `crash` leaves that to the operating system (spares SD cards)."""
+
+    def __post_init__(self) -> None:
+        if not self.directory or "\0" in self.directory:
+            raise ValueError(f"directory = {self.directory!r}: must be the name of a folder")
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +86,10 @@ class EstimatorChoice:
     name: str
     options: Any
     """Of the class that ESTIMATORS names."""
+
+    def as_table(self) -> dict[str, Any]:
+        """Return the [estimator] table of a config that asks for this."""
+        return {"estimator": {"name": self.name, **asdict(self.options)}}
 
     def as_text(self) -> dict[str, str]:
         """Return name and options as a recording keeps them, read back by `recorded_estimator` to the same bits."""
@@ -120,7 +128,7 @@ class Config:
         """Return every key with its value, defaults included, as tables of plain values."""
         tables = {
             "instrument": {"driver": self.driver, "resource": self.resource, **asdict(self.instrument)},
-            "estimator": {"name": self.estimator.name, **asdict(self.estimator.options)},
+            **self.estimator.as_table(),
             "scale": asdict(self.scale),
             "recording": asdict(self.recording),
         }
@@ -244,12 +252,17 @@ def recorded_estimator(description: Description, place: str) -> EstimatorChoice 
     """Return the estimator that a recording says it was made with; None where it holds no estimates.
 
     Raises:
-        ConfigError: this version has no such estimator or option; `place` begins the message.
+        RecordingError: it is damaged, or this version has no such estimator or option; `place` begins the message.
     """
     if not description.estimator:
         return None
-    name, options = read_parameters(description.estimator)
-    return choose_estimator({"name": name, **options}, place)
+    try:
+        name, options = read_parameters(description.estimator)
+        return choose_estimator({"name": name, **options}, place)
+    except ValueError as error:
+        raise RecordingError(f"{place}: metadata aemd.estimator: {error}; the recording is damaged") from error
+    except ConfigError as error:
+        raise RecordingError(f"{error}; name another by --estimator") from error
 
 
 def parse_options(kind: type[Options], table: Mapping[str, Any], place: str, section: str) -> Options:
@@ -280,6 +293,9 @@ def _explain(fault: Any, kind: type[Any], section: str) -> str:
     if fault["type"] == "missing":
         return f"[{section}] {key}: missing; it has no default"
     rule = fault["msg"].replace("Input should be", "must be")
+    for bound in fault.get("ctx", {}).values():
+        if isinstance(bound, float):  # pydantic writes 1e-30 with all its zeros
+            rule = f"{rule.rpartition(' ')[0]} {bound:g}"
     return f"[{section}] {key} = {_show(fault['input'])}: {rule[0].lower()}{rule[1:]}"
 
 

@@ -11,13 +11,14 @@ from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 from rich.table import Table
+from rich.text import Text
 
 from aemd.acquire.instrument import Clock
 from aemd.block import NOT_A_VALUE, Batch, Estimates
 from aemd.config import Scale
 from aemd.pipeline import Tally
 
-__all__ = ["Progress", "advancing", "format_quantity", "showing", "sparkline"]
+__all__ = ["Progress", "advancing", "counting", "format_quantity", "showing", "sparkline"]
 
 BARS = "▁▂▃▄▅▆▇█"
 SPARK_READINGS = 48
@@ -109,13 +110,13 @@ class Progress:
     def __rich__(self) -> Table:
         """Return the state as a small table for a terminal."""
         grid = Table.grid(padding=(0, 2))
-        lost = f"[red]{self._tally.counts.lost} lost[/]" if self._tally.counts.lost else "0 lost"
+        lost = Text(f"{self._tally.counts.lost} lost", style="red" if self._tally.counts.lost else "")
         grid.add_row(f"{self._tally.counts.readings} readings", f"{self.rate_hz:.2f} /s", lost)
-        grid.add_row("raw", self._show(self._raw_V), sparkline(self._recent))
+        grid.add_row("raw", Text(self._show(self._raw_V)), sparkline(self._recent))
         sigma = format_quantity(abs(self._scale.factor) * self._sigma_V, self._scale.unit, 2).lstrip("+")
-        grid.add_row("estimate", self._show(self._estimate_V), f"± {sigma}   window {self._window}")
+        grid.add_row("estimate", Text(self._show(self._estimate_V)), Text(f"± {sigma}   window {self._window}"))
         for message in self._events:
-            grid.add_row("event", message)
+            grid.add_row("event", Text(message))
         return grid
 
     def _show(self, value_V: float) -> str:
@@ -158,10 +159,24 @@ def showing(tally: Tally, scale: Scale, console: Console, clock: Clock) -> Itera
 @contextmanager
 def advancing(total: int | None, console: Console | None) -> Iterator[Callable[[int], None]]:
     """Give a function that moves a progress bar on by so many readings; no bar where there is no terminal."""
+    with _bar("readings", console) as bar:
+        task = None if bar is None else bar.add_task("", total=total)
+        yield lambda readings: None if bar is None or task is None else bar.advance(task, readings)
+
+
+@contextmanager
+def counting(what: str, console: Console) -> Iterator[Callable[[int, int], None]]:
+    """Give a function that is told of the steps done and their number, and shows them where there is a terminal."""
+    with _bar(what, console) as bar:
+        task = None if bar is None else bar.add_task("", total=None)
+        yield lambda done, total: None if bar is None or task is None else bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def _bar(what: str, console: Console | None) -> Iterator[ProgressBar | None]:
     if console is None or not console.is_terminal:
-        yield lambda _readings: None
+        yield None
         return
-    columns = (TextColumn("replaying"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with ProgressBar(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("replay", total=total)
-        yield lambda readings: bar.advance(task, readings)
+        yield bar

@@ -16,6 +16,8 @@ __all__ = ["draw"]
 
 BINS = 2000
 """Columns of the picture: more readings than this are drawn as the least and the greatest of each column's."""
+LARGEST = 1e100
+"""Beyond it the arithmetic of axes overflows; what is drawn as this is off every chart."""
 SPANS = 500
 """At most so many gaps are marked, and so many readings without a value."""
 TIME_UNITS = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"))
@@ -83,7 +85,8 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[np.float64]], str]:
     if not readings.size:
         return {"time_s": np.empty(0)}, unit
     estimates = np.concatenate([part[1] for part in parts])
-    value = np.where((readings["status"] & NOT_A_VALUE) == 0, readings["value_V"], np.nan)
+    usable = (readings["status"] & NOT_A_VALUE) == 0
+    value = np.where(usable, np.clip(readings["value_V"], -LARGEST, LARGEST), np.nan)
     columns = {
         "time_s": (readings["t_ns"] - readings["t_ns"][0]) * 1e-9,
         "raw": value,
@@ -93,7 +96,7 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[np.float64]], str]:
     place = np.searchsorted(readings["index"], estimates["index"])
     for name, field in (("estimate", "value_V"), ("sigma", "sigma_V"), ("window", "window")):
         columns[name] = np.full(readings.size, np.nan)
-        columns[name][place] = estimates[field]
+        columns[name][place] = np.clip(estimates[field], -LARGEST, LARGEST)
     # A line that ran on over a gap would show readings that nobody took.
     breaks = np.flatnonzero(columns["gap"])
     return {

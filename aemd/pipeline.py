@@ -60,6 +60,10 @@ class Spread:
         """Take finite values, shape (n,)."""
         if not values.size:
             return
+        with np.errstate(over="ignore", invalid="ignore"):  # of 1e308 V: the variance is infinite, and says so
+            self._merge(values)
+
+    def _merge(self, values: NDArray[np.float64]) -> None:
         mean = float(values.mean())
         total = self.count + values.size
         shift = mean - self.mean

@@ -13,7 +13,7 @@ from rich.console import Console
 from aemd.block import ESTIMATE, READING, Batch, Estimates
 from aemd.config import EstimatorChoice, load_estimator, name_estimator, recorded_estimator
 from aemd.display import advancing
-from aemd.errors import UsageError
+from aemd.errors import RecordingError, UsageError
 from aemd.estimate.registry import make_estimator
 from aemd.pipeline import Tally, run
 from aemd.record.description import Description
@@ -68,6 +68,12 @@ def replay(
     """
     with Recording(path) as recording:
         description = recording.description
+        if check:
+            recording.verify()
+        if not description.interval_s > 0:
+            raise RecordingError(
+                f"{path}: has no interval between readings, which an estimator needs; is it one reading?"
+            )
         recorded = recorded_estimator(description, str(path))
         known = recorded if model is None else load_estimator(model)
         choice = known if known and estimator is None else name_estimator(estimator or "aem", known)
@@ -114,8 +120,8 @@ def _recorder(out: Path | None, description: Description, choice: EstimatorChoic
 
 def _expected(recording: Recording) -> int | None:
     """Return how many readings the recording says it has; None where it does not say."""
-    said = recording.metadata.get("aemd.close", {}).get("readings")
-    return None if said is None else int(said)
+    said = recording.metadata.get("aemd.close", {}).get("readings", "")
+    return int(said) if said.isdecimal() else None
 
 
 class _Comparison:

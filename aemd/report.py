@@ -10,6 +10,7 @@ from typing import Any
 
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
 from aemd.display import format_quantity
 
@@ -36,9 +37,10 @@ def as_json(result: Any) -> str:
 def as_table(result: Any, title: str) -> Table:
     """Return a result, a dataclass, as a two-column table with its units taken out of the names."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_header=False)
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")  # a file's name cut short is no name
     for key, value in asdict(result).items():
-        name, text = _say(key, value)
-        table.add_row(name, text)
+        table.add_row(*map(Text, _say(key, value)))
     return table
 
 

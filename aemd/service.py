@@ -10,13 +10,15 @@ __all__ = ["stopping_on_signals"]
 
 @contextmanager
 def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
-    """While inside, let the first SIGINT or SIGTERM call `stop`; a second SIGINT interrupts as usual.
+    """While inside, let SIGINT and SIGTERM call `stop`; a second SIGINT interrupts as usual.
 
-    To be entered on the main thread; handlers run between its bytecodes, so `stop` must only set a flag.
+    To be entered on the main thread; handlers run between its bytecodes, so `stop` must only set a flag. A second
+    SIGTERM is for the patient: whoever sent it can still kill.
     """
 
     def handle(number: int, _frame: FrameType | None) -> None:
-        signal.signal(number, before[signal.Signals(number)])
+        if number == signal.SIGINT:
+            signal.signal(number, before[signal.SIGINT])
         stop()
 
     before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}

@@ -1,6 +1,7 @@
 """One acquisition, from config to finished recording; and the simulated meter for others to use."""
 
 import gc
+import math
 import platform
 import socket
 import time
@@ -21,7 +22,7 @@ from aemd.acquire.instrument import Instrument, find_driver, find_simulator
 from aemd.block import READING
 from aemd.config import Config
 from aemd.display import showing
-from aemd.errors import InstrumentError, RecordingError
+from aemd.errors import InstrumentError, RecordingError, UsageError
 from aemd.estimate.registry import make_estimator
 from aemd.pipeline import Sink, Tally, run
 from aemd.record.background import Background
@@ -96,9 +97,15 @@ def acquire(
         RecordingError: the recording cannot be written; what was flushed is readable.
     """
     folder = Path(config.recording.directory) if directory is None else directory
-    with opened(config) as instrument:
+    if seconds is not None and not 0 < seconds < math.inf:
+        raise UsageError(f"--seconds {seconds:g}: must be a finite number above 0; leave it out to go on until Ctrl-C")
+    stop = _Stop()
+    # Before anything is opened: an interrupt in mid-set-up would leave the meter remote, or get lost in a callback.
+    with stopping_on_signals(stop), opened(config) as instrument:
         estimator = make_estimator(config.estimator.name, config.estimator.options, instrument.interval_s)
         estimator.push(np.empty(0, READING))  # compiles the kernel, which the first readings should not wait for
+        if stop.is_asked:
+            raise KeyboardInterrupt
         most = None if seconds is None else max(1, round(seconds / instrument.interval_s))
         # What is there stays: without it, a garbage collection in mid-stream would walk all of it, for tens of ms.
         gc.collect()
@@ -109,7 +116,7 @@ def acquire(
         try:
             with (
                 Acquisition(instrument, most_readings=most) as acquisition,
-                stopping_on_signals(acquisition.stop),
+                stop.passing_on_to(acquisition),
                 showing(tally, config.scale, console, time.monotonic_ns) as progress,
             ):
                 run(acquisition.batches(), estimator, [*watchers, tally, recorder, progress])
@@ -136,6 +143,28 @@ def acquire(
         raw_variance_V2=tally.raw.variance,
         estimate_variance_V2=tally.estimate.variance,
     )
+
+
+class _Stop:
+    """What a signal calls: remembered until there is an acquisition to pass it on to. Reentrant."""
+
+    def __init__(self) -> None:
+        self.is_asked = False
+        self._acquisition: Acquisition | None = None
+
+    def __call__(self) -> None:
+        self.is_asked = True
+        if self._acquisition is not None:
+            self._acquisition.stop()
+
+    @contextmanager
+    def passing_on_to(self, acquisition: Acquisition) -> Iterator[None]:
+        """While inside, stop this acquisition when called, or at once if that was before."""
+        self._acquisition = acquisition
+        if self.is_asked:
+            acquisition.stop()
+        yield
+        self._acquisition = None
 
 
 def _open_recorder(config: Config, instrument: Instrument, folder: Path) -> Recorder:

@@ -35,7 +35,7 @@ BROKEN = {
     SIM + '[estimator]\nname = "aen"': "[estimator] name = 'aen': did you mean 'aem'?",
     SIM + "[estimator]\nwindow = 3": "window: unknown key; did you mean 'windows'?",
     SIM + "[estimator]\nwindows = [5, 10, 15]": "windows = [5, 10, 15]: must fall",
-    SIM + "[estimator]\nsigma_R_V = 0": "[estimator] sigma_R_V = 0: must be greater than 0",
+    SIM + "[estimator]\nsigma_R_V = 0": "[estimator] sigma_R_V = 0: must be greater than or equal to 1e-30",
     SIM + "[estimator]\nsigma_R_V = nan": "[estimator] sigma_R_V",
     SIM + "[scale]\nfactor = 0": "[scale] factor = 0.0: must be finite and not zero",
     SIM + "[recording]\nflush_interval_s = 0": "[recording] flush_interval_s = 0: must be greater",

@@ -18,10 +18,11 @@ from types import TracebackType
 from typing import Self
 
 from aemd.acquire.clock import DeviceClock
-from aemd.acquire.instrument import Clock, Instrument
+from aemd.acquire.instrument import Clock, Drain, Instrument
 from aemd.acquire.ledger import Ledger
 from aemd.acquire.ring import Ring
 from aemd.block import Batch, Event
+from aemd.errors import InstrumentError
 
 __all__ = ["Acquisition", "Counts", "choose_poll_s"]
 
@@ -34,6 +35,8 @@ EAGER_POLL_S = 0.002
 EAGER_LOOKS = 500  # 1 s of them, after a start or a new epoch, until the offset is known
 EAGER_BEFORE = 2  # readings before the end of an epoch
 WELL_KNOWN_NS = 1_000_000
+PATIENCE_S = 5.0
+PATIENCE_INTERVALS = 5  # without a reading, however long an interval is
 LIVENESS_S = 1.0  # how often the consumer's wait makes sure that there is still somebody to wait for
 
 
@@ -105,6 +108,8 @@ class Acquisition:
         self._eager_looks = EAGER_LOOKS
         self._epoch = 0
         self._next_look_ns = 0
+        self._newest_ns = 0
+        self._stopped = False
         self._thread = Thread(target=self._run, name="aemd-acquire", daemon=True)
 
     def __enter__(self) -> Self:
@@ -179,10 +184,12 @@ class Acquisition:
         self._next_look_ns = self._clock()
         self._ledger.begin(asked_ns, self._next_look_ns)
         left = 0
+        self._newest_ns = self._next_look_ns
         while self._missing() and not self._told_to_stop(wait=not (left and self._ring.free)):
             left = self._look()
         asked_ns = self._clock()
         self._instrument.stop()
+        self._stopped = True
         self._ledger.end(asked_ns, self._clock())
         left = 1
         while left and self._missing() and not self._abandoned.is_set():
@@ -227,8 +234,20 @@ class Acquisition:
         most = min(self._ring.free, self._missing(), MOST_AT_ONCE)
         drain = self._instrument.drain(most)
         recount = self._instrument.drain(0) if self._ledger.needs_recount(drain) else None
+        self._refuse_silence(drain)
         block, events = self._ledger.enter(drain, recount)
         if block.size or events:
             self._ring.push(block)
             self._deliveries.put(_Delivery(block.size, events, drain.received_ns))
         return drain.waiting - block.size
+
+    def _refuse_silence(self, drain: Drain) -> None:
+        """Raise where the instrument answers and yet takes no readings, rather than wait for ever."""
+        if drain.waiting or self._stopped:
+            self._newest_ns = drain.answered_ns
+        patience_s = max(PATIENCE_S, PATIENCE_INTERVALS * self._instrument.interval_s)
+        if drain.answered_ns - self._newest_ns > patience_s * 1e9:
+            raise InstrumentError(
+                f"the instrument has taken no reading for {patience_s:.3g} s, at an interval of"
+                f" {self._instrument.interval_s:g} s; look at its display, and start again"
+            )

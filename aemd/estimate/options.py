@@ -16,8 +16,8 @@ from aemd.errors import ConfigError
 
 __all__ = ["Count", "Positive", "StateOptions", "check_bounds", "discrete_phi"]
 
-Positive = Annotated[float, Gt(0), Lt(math.inf)]
-"""A finite number above zero."""
+Positive = Annotated[float, Ge(1e-30), Le(1e30)]
+"""A number above zero whose square, too, is one that a computer can hold."""
 
 Count = Annotated[int, Ge(1), Le(1_000_000)]
 """A number of readings or passes. The upper bound only keeps a slip of the pen from filling the memory."""

@@ -2,10 +2,9 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from difflib import get_close_matches
 from typing import Any
 
-from aemd.errors import ConfigError
+from aemd.errors import ConfigError, not_among
 from aemd.estimate.aem import Aem, AemOptions
 from aemd.estimate.imm import Imm, ImmOptions
 from aemd.estimate.kalman import Kalman, KalmanOptions
@@ -42,9 +41,7 @@ def make_estimator(name: str, options: Any, interval_s: float) -> Estimator:
     'kalman'
     """
     if name not in ESTIMATORS:
-        nearest = get_close_matches(name, ESTIMATORS, n=1)
-        hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-        raise ConfigError(f"no estimator {name!r}{hint}; there are: {', '.join(ESTIMATORS)}")
+        raise ConfigError(f"no estimator {name!r}; {not_among(name, ESTIMATORS)}")
     options_type, estimator_type = ESTIMATORS[name]
     if isinstance(options, Mapping):
         unknown = [key for key in options if key not in options_type.__dataclass_fields__]

@@ -52,7 +52,19 @@ def write_parameters(name: str, parameters: Mapping[str, Scalar]) -> dict[str, s
 def read_parameters(text: Mapping[str, str]) -> tuple[str, dict[str, Scalar]]:
     """Return the name and the parameters that `write_parameters` wrote.
 
+    Raises:
+        ValueError: it did not write this.
+
     >>> read_parameters({"name": "aem", "q": "1e-17"})
     ('aem', {'q': 1e-17})
     """
-    return text["name"], {key: json.loads(value) for key, value in text.items() if key != "name"}
+    if "name" not in text:
+        raise ValueError("name: missing")
+    parameters = {}
+    for key, value in text.items():
+        if key != "name":
+            try:
+                parameters[key] = json.loads(value)
+            except ValueError as error:
+                raise ValueError(f"{key} = {value!r}: not a value as JSON has them") from error
+    return text["name"], parameters

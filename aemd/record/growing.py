@@ -212,9 +212,9 @@ class GrowingFile:
             self.active.unlink()
 
     def _create(self) -> int:
-        if self.path.exists():
-            raise RecordingError(f"{self.path}: exists: a recording is never overwritten; choose another name")
         try:
+            if self.path.exists():
+                raise RecordingError(f"{self.path}: exists: a recording is never overwritten; choose another name")
             fd = os.open(self.active, os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_CLOEXEC, 0o644)
         except FileExistsError as error:
             raise RecordingError(

@@ -6,6 +6,7 @@ written, reads as far as it goes. The summary at the end is not needed.
 
 import mmap
 import struct
+import zlib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from io import BytesIO
@@ -18,7 +19,7 @@ from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, McapRecord, Metadata, Schema
+from mcap.records import Attachment, Channel, DataEnd, Footer, McapRecord, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
@@ -32,6 +33,8 @@ from aemd.record.schema import COLUMNS, ENCODING, FILTERED, RAW, SCHEMAS, WITNES
 
 __all__ = ["Recording", "Statistics"]
 
+_CRC_BYTES = 4
+_CRC_PIECE_BYTES = 1 << 20  # at a time, so that a file of any size takes no memory
 _FRAME = struct.Struct("<BQ")
 _FOOTER = bytes([Opcode.FOOTER]) + (20).to_bytes(8, "little")
 _END_BYTES = len(_FOOTER) + 20 + len(MCAP0_MAGIC)
@@ -150,6 +153,26 @@ class Recording:
         for piece in cut(self._pieces(self.channels), batch_readings):
             yield make_batch(piece)
 
+    def verify(self) -> None:
+        """Hold the file's own checksums and counts against what it holds outside its chunks, whose own are always held.
+
+        Raises:
+            RecordingError: they do not fit; the message says which.
+        """
+        if not self.is_finished:
+            return
+        end = next((record for record in self._walk() if record.opcode == Opcode.DATA_END), None)
+        if end is not None:
+            summed = self._parse(DataEnd, end).data_section_crc
+            if summed and self._crc(0, end.at) != summed:
+                raise RecordingError(f"{self.path}: is damaged: its {end.at} bytes of data do not have their checksum")
+        footer = next((record for record in self._walk() if record.opcode == Opcode.FOOTER), None)
+        if footer is not None:
+            told = self._parse(Footer, footer)
+            begin, summed_to = told.summary_start or footer.at, footer.end - _CRC_BYTES
+            if told.summary_crc and self._crc(begin, summed_to) != told.summary_crc:
+                raise RecordingError(f"{self.path}: is damaged: its summary does not have its checksum")
+
     def statistics(self) -> Statistics:
         """Return what the recording holds: as it was counted at its end or, if that is missing, by reading it all.
 
@@ -167,8 +190,21 @@ class Recording:
             except (KeyError, ValueError):
                 pass  # closed by another program
             else:
+                for name, topic in (("readings", RAW), ("estimates", FILTERED)):
+                    told, held = figures[name], topics.get(topic, 0)
+                    if told != held:
+                        raise RecordingError(
+                            f"{self.path}: is damaged: it tells of {told} {name}, and of {held} messages on {topic}"
+                        )
                 return Statistics(topics=topics, **figures)
         return self._count()
+
+    def _crc(self, begin: int, end: int) -> int:
+        """Return the CRC32 of a stretch of the file, read piece by piece."""
+        crc = 0
+        for at in range(begin, end, _CRC_PIECE_BYTES):
+            crc = zlib.crc32(self._map[at : min(at + _CRC_PIECE_BYTES, end)], crc)
+        return crc
 
     def _count(self) -> Statistics:
         counted, topics = Counts(self.description.first_index), dict.fromkeys(self.channels, 0)
@@ -190,7 +226,7 @@ class Recording:
 
     def _scan(self, *, allow_unfinished: bool) -> dict[int, MessageKind]:
         """Take in every record that is not a message, and return what the messages of each channel are."""
-        if not (self.is_finished or allow_unfinished):
+        if not (self.is_finished or allow_unfinished or self.path.suffix == ".active"):
             last = max((record.end for record in self._walk()), default=len(MCAP0_MAGIC))
             raise RecordingError(
                 f"{self.path}: is unfinished: it breaks off at byte {last} of {len(self._map)}, without a footer; "

@@ -9,6 +9,7 @@ import io
 import math
 import statistics
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -141,8 +142,9 @@ class _Table:
         if self._names[:2] != ["time", "value"]:
             raise self._refuse(f"header {','.join(header)[:60]!r}", "must begin with time,value; put that line on top")
         self.witnesses = tuple(self._names[2:])
+        counts = Counter(self._names)
         for name in self.witnesses:
-            if not name or self._names.count(name) > 1:
+            if not name or counts[name] > 1:
                 raise self._refuse(f"column {name!r}", "must have a name of its own; rename it")
         self._last_ns = -1
         self._last_time = ""

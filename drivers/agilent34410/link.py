@@ -28,6 +28,7 @@ from aemd.errors import InstrumentError
 
 __all__ = ["Link", "open_link"]
 
+LONGEST_ANSWER = 4096  # bytes of a line; the meter's longest, an error text, has under 300
 _LINK_FAILURES = (VisaIOError, OSError, ValueError, EOFError)
 
 
@@ -129,7 +130,13 @@ class _VisaLink:
 
     def query(self, command: str) -> str:
         with self._failures(command) as session:
-            return session.query(command).strip()
+            session.write(command)
+            # Not `session.read`, which goes on for as long as bytes come: a peer that never ends its line is no meter.
+            with session.ignore_warning(StatusCode.success_max_count_read):
+                answer, _ = session.visalib.read(session.session, LONGEST_ANSWER)
+            if not answer.endswith(b"\n"):
+                raise ValueError(f"no end of line within {LONGEST_ANSWER} bytes")
+            return answer.decode("ascii", errors="backslashreplace").strip()
 
     def query_block(self, command: str) -> bytes:
         with self._failures(command) as session:
@@ -159,7 +166,7 @@ class _VisaLink:
             if isinstance(error, VisaIOError) and error.error_code == StatusCode.error_timeout:
                 what = f"no whole answer within {self._timeout_s:g} s"
             else:
-                what = _one_line(error)
+                what = (getattr(error, "strerror", None) or _one_line(error)).lower()
             raise InstrumentError(
                 f"{self.resource}: {command}: {what}; check that the instrument is on, the cable and the address"
             ) from error

@@ -8,6 +8,7 @@ and with it the timer anew (34410A manual, PRH 787, 795, 1791).
 
 from collections.abc import Mapping
 from contextlib import suppress
+from math import inf, nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,15 +193,21 @@ class Meter:
 
     def _number(self, answers: Mapping[str, str], question: str) -> float:
         try:
-            return float(answers[question])
-        except ValueError as error:
+            number = float(answers[question])
+        except ValueError:
+            number = nan
+        if not 0 < number < inf:
             raise InstrumentError(
-                f"{self._link.resource}: {question}: the answer {answers[question]!r} is not a number"
-            ) from error
+                f"{self._link.resource}: {question}: the answer {answers[question]!r} is not a number above 0;"
+                " switch the meter off and on"
+            )
+        return number
 
     def _integers(self, answer: str) -> tuple[int, int]:
         try:
             waiting, questionable = (int(float(field)) for field in answer.split(";"))
+            if waiting < 0 or questionable < 0:
+                raise ValueError(answer)  # noqa: TRY301 - one message for every kind of nonsense
         except (ValueError, OverflowError) as error:
             raise InstrumentError(
                 f"{self._link.resource}: {LOOK}: the answer {answer!r} is not two numbers; start again"

@@ -171,7 +171,7 @@ def test_a_file_cut_anywhere_is_refused_or_read_as_a_prefix(record: Callable[...
         [(Batch(readings), estimates)], Description(estimator={"name": "aem"}), chunk_bytes=3000
     ).read_bytes()
     chunk_ends = [at + 9 + len(body) for opcode, at, body in records_of(octets) if opcode == 0x06]
-    cut = tmp_path / "cut.mcap.active"
+    cut = tmp_path / "cut.mcap"
     # Every byte from the first chunk to the last, some of what stands around them.
     begin, end = chunk_ends[0] - 700, chunk_ends[-1] + 100
     cuts = [length for length in range(len(octets)) if begin < length < end or length % 50 == 0]
@@ -179,7 +179,7 @@ def test_a_file_cut_anywhere_is_refused_or_read_as_a_prefix(record: Callable[...
     for length in cuts:
         cut.write_bytes(octets[:length])
         if length % 50 == 0:
-            with pytest.raises(RecordingError, match=r"cut\.mcap\.active: is (unfinished|no MCAP file).*$"):
+            with pytest.raises(RecordingError, match=r"cut\.mcap: is (unfinished|no MCAP file).*$"):
                 Recording(cut)
         try:
             _, read, made = _all(cut, allow_unfinished=True)
