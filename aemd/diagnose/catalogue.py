@@ -49,6 +49,22 @@ COVERED = (
     "clock_error",
     "mains_alias",
     "periodic_interference",
+    "resonance",
+    "flicker_noise",
+    "random_walk",
+    "difference_noise",
+    "smoothing",
+    "extra_gauss_markov",
+    "changing_noise",
+    "signal_dependent_noise",
+    "heavy_tails",
+    "step",
+    "thermal_drift",
+    "warmup_drift",
+    "supply_coupling",
+    "nonlinearity",
+    "dead_band",
+    "reading_pattern",
 )
 """Mechanisms with a check of known law and a term."""
 
@@ -59,5 +75,20 @@ EXPERIMENTS: Mapping[str, str] = {
     "mains_alias": "shift the reading rate by 0.1 Hz: a folded line moves by a multiple of it, a real one stays; "
     "or set the aperture to whole mains cycles",
     "periodic_interference": "shift the reading rate by 0.1 Hz: a real line stays where it is, a folded one moves",
+    "resonance": "tap the bench once: a resonance rings at this frequency and dies away, a line does not",
+    "flicker_noise": "record ten times as long: 1/f keeps its slope to the lowest frequency, one process levels off",
+    "random_walk": "record ten times as long: a random walk keeps growing with the root of time, others level off",
+    "difference_noise": "switch autozero off, or double the aperture: noise that neighbours share goes with its cause",
+    "smoothing": "switch the meter's digital filter off and compare how neighbouring readings correlate",
+    "extra_gauss_markov": "record ten times as long, and with a short circuit at the input: the meter's own stays",
+    "changing_noise": "record a short circuit over the same hours of the day: noise from outside goes",
+    "signal_dependent_noise": "record at two input levels: this noise grows with the level, others do not",
+    "heavy_tails": "record a short circuit with the same cable: outliers that remain are the meter's",
+    "step": "look in the log book at that time; reseat the connector and see whether the level returns",
+    "thermal_drift": "warm the room by 5 degrees and let it cool: the reading follows with this lag, or it does not",
+    "warmup_drift": "switch off for an hour, then on again: the same decay comes back, or it was the input",
+    "supply_coupling": "change the supply by a known amount at a constant input",
+    "nonlinearity": "apply three known levels, evenly spaced: a straight scale keeps their distances equal",
+    "reading_pattern": "switch autozero off, or change the readings per trigger: the pattern changes with it",
 }
 """The cheapest test of each name."""

@@ -6,6 +6,7 @@ Joint refits decide what it is called. Held-out blocks decide what it is worth. 
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from aemd.diagnose.checks.integrity import check_raw
 from aemd.diagnose.checks.residuals import check_all
 from aemd.diagnose.evidence import Defect, Evidence
 from aemd.diagnose.fit import Fit, fit_base, refit
-from aemd.diagnose.gain import HeldOut, measure_gain
+from aemd.diagnose.gain import SLOW, HeldOut, block_of, measure_gain
 from aemd.diagnose.hypothesis import make_data
 from aemd.diagnose.intervals import covariance, describe
 from aemd.diagnose.naming import Named, name
@@ -90,12 +91,20 @@ def criticise(series: Series, *, line_frequency_hz: float | None = None, progres
             break
         named.append((left[0], found))
         fit = found.fit
+    fit, named = _pruned(fit, named)
     tell("measuring gains on held-out blocks")
     findings = [_from_defect(defect, base) for defect in defects]
-    findings += _explained(fit, named)
+    explained = _explained(fit, named)
+    worse = [item for item in explained if item.gain.nats_total <= 0]
+    findings += [item for item in explained if item.gain.nats_total > 0]
+    if worse:  # what does not predict is no explanation, however well it fits
+        findings += [_not_predicting(item) for item in worse]
+        bad = {item.cause for item in worse}
+        kept = [number for number, term in enumerate(fit.terms) if term.cause not in bad]
+        fit = refit([fit.terms[number] for number in kept], fit.data, np.concatenate([fit.parts_of(at) for at in kept]))
     if left:
         findings.append(_unexplained(left, fit))
-    verdict: Verdict = "unexplained" if left else "explained" if findings else "nothing_found"
+    verdict: Verdict = "unexplained" if left or worse else "explained" if findings else "nothing_found"
     spread = covariance(fit)
     return Diagnosis(
         verdict=verdict,
@@ -126,6 +135,20 @@ def _significant(evidence: list[Evidence], level: float) -> list[Evidence]:
     return ranked
 
 
+def _pruned(fit: Fit, named: list[tuple[Evidence, Named]]) -> tuple[Fit, list[tuple[Evidence, Named]]]:
+    """Take out terms of earlier rounds that later ones made superfluous."""
+    number = 1
+    while number < len(named):  # the last was added in full knowledge of the others
+        kept = [at for at in range(len(fit.terms)) if at != number]
+        without = refit([fit.terms[at] for at in kept], fit.data, np.concatenate([fit.parts_of(at) for at in kept]))
+        lost = fit.log_likelihood - without.log_likelihood
+        if lost < max(_LEAST_NATS, fit.terms[number].cost_nats):
+            fit, named = without, [*named[: number - 1], *named[number:]]
+        else:
+            number += 1
+    return fit, named
+
+
 def _from_defect(defect: Defect, base: Fit) -> Finding:
     return Finding(
         cause=defect.cause,
@@ -145,13 +168,13 @@ def _explained(fit: Fit, named: list[tuple[Evidence, Named]]) -> list[Finding]:
     """Return a finding for each term, measured against the same model without it."""
     if not named:
         return []
-    held, spread = HeldOut(fit.data), covariance(fit)
-    with_all = held.score(fit.terms, fit.theta)
+    spread = covariance(fit)
     findings = []
     for number, (evidence, found) in enumerate(named, start=1):
         terms = [term for at, term in enumerate(fit.terms) if at != number]
         start = np.concatenate([fit.parts_of(at) for at in range(len(fit.terms)) if at != number])
         without = refit(terms, fit.data, start)
+        held, forward = HeldOut(fit.data, block_of(fit.data, found.term)), found.term.cause in SLOW
         findings.append(
             Finding(
                 cause=found.names[0],
@@ -160,13 +183,31 @@ def _explained(fit: Fit, named: list[tuple[Evidence, Named]]) -> list[Finding]:
                 p_value=evidence.p_value,
                 d_nats=max(fit.log_likelihood - without.log_likelihood - 0.5 * found.term.start.size, 0.0),
                 parameters=describe(fit, number, spread),
-                gain=measure_gain(held.score(without.terms, without.theta), with_all, fit.data.n),
+                gain=measure_gain(
+                    held.score(without.terms, without.theta, forward=forward),
+                    held.score(fit.terms, fit.theta, forward=forward),
+                    fit.data.n,
+                ),
                 rms_before=without.innovation_rms,
                 rms_after=fit.innovation_rms,
                 experiment=EXPERIMENTS.get(found.names[0], ""),
             )
         )
     return findings
+
+
+def _not_predicting(finding: Finding) -> Finding:
+    """Return a finding whose term fits but does not predict, without its name."""
+    return replace(
+        finding,
+        cause="unexplained",
+        names=("unexplained",),
+        parameters={},
+        experiment=f"looks most like {finding.cause}, which fits but does not predict held-out blocks "
+        f"({finding.gain.nats_total:+.1f} nats); record for longer",
+        gain=Gain(0.0, 0.0, 0.0, 0.0),
+        rms_after=finding.rms_before,
+    )
 
 
 def _unexplained(left: list[Evidence], fit: Fit) -> Finding:

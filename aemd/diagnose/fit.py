@@ -20,9 +20,10 @@ Floats = NDArray[np.float64]
 
 _IMPOSSIBLE = 1e9  # nats a reading that what cannot be computed costs
 _LONGEST_STEP = 1.5  # of any free number at once; most are logarithms
-_CONVERGED = 3e-3  # nats that are not worth another step
+_CONVERGED = 1e-2  # nats that are not worth another step
 _DIFFERENCE = 1e-5  # of a free number, for the derivatives
 _SHOCK_GAIN = 6.0  # nats that three more numbers must bring; half of chi-square(3) at 0.7 %
+_FEW_SHOCKS = 8.0  # expected in a record, below which they may be something else
 _SHORT = 5_000  # readings below which likelihoods have several tops, and one more start is tried
 _LONG = 200_000  # readings beyond which the mixture is first fitted to a part
 
@@ -76,10 +77,10 @@ def split(terms: Sequence[Term], theta: Floats) -> list[Floats]:
 
 def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[Any, ...]:
     """Return the filter's arguments after the data."""
-    parts = Parts(np.zeros(data.y.size), np.zeros(data.y.size))
+    parts = Parts(np.zeros(data.y.size), np.zeros(data.y.size), np.ones(data.y.size))
     for term, numbers in zip(terms, split(terms, theta), strict=True):
         term.add(numbers, data, parts)
-    return parts.mean, parts.noise_var, np.array(parts.states, np.float64), parts.shocks, parts.extras
+    return parts.mean, parts.noise_var, parts.scale, np.array(parts.states, np.float64), parts.shocks, parts.extras
 
 
 def score_log_likelihood(terms: Sequence[Term], theta: Floats, data: Data) -> float:
@@ -157,7 +158,7 @@ def residuals(terms: Sequence[Term], theta: Floats, data: Data) -> Fit:
         variance=variance,
         each=each,
         gains=gains,
-        states=arguments[2],
+        states=arguments[3],
     )
 
 
@@ -179,7 +180,23 @@ def fit_base(data: Data) -> Fit:
     plain = Base(best, shocks=False, box=box)
     fit = residuals([plain], best, data)
     shocked = _with_shocks(fit)
-    return fit if shocked is None or shocked.log_likelihood < fit.log_likelihood + _SHOCK_GAIN else shocked
+    if shocked is None or shocked.log_likelihood < fit.log_likelihood + _SHOCK_GAIN:
+        return fit
+    # A handful of events may be one step, which slow shocks imitate: then the base is the one without, and a check of
+    # the residuals has the step to find.
+    if np.exp(shocked.theta[6]) * data.span_s < _FEW_SHOCKS and _with_step(fit) > shocked.log_likelihood:
+        return fit
+    return shocked
+
+
+def _with_step(fit: Fit) -> float:
+    """Return the log-likelihood with the one step that the residuals show most clearly."""
+    z = np.abs(fit.z)
+    at = int(np.argmax(z))
+    shape = (np.arange(z.size) >= at).astype(np.float64)
+    left = fit.whitened(shape)
+    size = float(left @ left)
+    return fit.log_likelihood + 0.5 * float(left @ fit.z) ** 2 / size if size > 0 else -np.inf
 
 
 def _with_shocks(fit: Fit) -> Fit | None:

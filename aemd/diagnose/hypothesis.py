@@ -20,6 +20,9 @@ __all__ = ["Base", "Data", "Parameter", "Parts", "Term", "base_start_with_shocks
 Floats = NDArray[np.float64]
 Bounds = tuple[float, float]
 
+_SLOWEST_DECAY = 0.02
+"""Of the span: a shock that decays more slowly is a step or a drift."""
+
 
 @dataclass(frozen=True, slots=True)
 class Data:
@@ -89,9 +92,10 @@ class Parts:
 
     mean: Floats
     noise_var: Floats
+    scale: Floats
     states: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
     shocks: Floats = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
-    extras: Floats = field(default_factory=lambda: np.zeros(4))
+    extras: Floats = field(default_factory=lambda: np.zeros(5))
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,6 +209,6 @@ def base_start_with_shocks(data: Data, theta: Floats, rate_per_s: float, sd: flo
             *base_box(data),
             (log(0.1 / span), log(0.5 / step)),
             (log(0.3), log(1e6)),
-            (log(0.2 * step), log(max(0.1 * span, step))),
+            (log(0.2 * step), log(max(_SLOWEST_DECAY * span, step))),
         ),
     )

@@ -2,12 +2,12 @@
 
 Readings y_k at steps h_k obey
 
-    y_k = mean_k + H x_k + noise_k,   x_k = F(h_k) x_{k-1} + process noise,
+    y_k = mean_k + scale_k H x_k + noise_k,   x_k = F(h_k) x_{k-1} + process noise,
 
 where x stacks first-order processes, swinging pairs and short memories. With shocks, each step has two hypotheses, a
 jump of variance A^2 in the shock's state or none; with outliers, each reading has a further one, of a larger noise. The
 filter keeps one Gaussian: the mixture's mean and covariance. Every update moves the mean along one direction per
-hypothesis, so collapsing costs one outer product.
+hypothesis, so collapsing costs one outer product. A bent scale, y = x + b x^2, is met by its slope at the prediction.
 
 Besides the log-likelihood the kernel returns for each reading what the checks are made of: the predicted mean, the
 variance of the undisturbed hypothesis, and the probability integral transform of the reading under the predicted
@@ -38,7 +38,7 @@ WHITE = 3
 PREVIOUS = 4
 """What the state before it in the table was at the reading before."""
 
-_MOST = 16  # states; fixed, so that the work space lives on the stack of one call
+_MOST = 40  # states; the size of the work space
 
 
 @njit(cache=True)
@@ -91,6 +91,7 @@ def _filter(
     step_s: Floats,
     mean: Floats,
     noise_var: Floats,
+    scale: Floats,
     states: Floats,
     shocks: Floats,
     extras: Floats,
@@ -103,7 +104,8 @@ def _filter(
     """Run the filter; see `log_densities` and `predict` for the arguments.
 
     `shocks` is (rate per s, variance of the jump, index of the shock's state or -1). `extras` is (variance per squared
-    prediction, quadratic coefficient, probability of an outlier, its added variance). `each` and the arrays after it
+    prediction, quadratic coefficient, probability of an outlier, its added variance, what is added to the prediction
+    before it is squared for the variance). `each` and the arrays after it
     are filled if they have the readings' length, and left alone if they are empty.
     """
     m, n = states.shape[0], y.size
@@ -117,8 +119,8 @@ def _filter(
     for i in range(m):
         if states[i, 0] != MARKOV:
             diagonal = False
-    plain = shock_at < 0 and extras[0] == 0.0 and extras[2] == 0.0
-    frozen, last_step, s_frozen, log_s, last_noise = False, -1.0, 0.0, 0.0, -1.0
+    plain = shock_at < 0 and extras[0] == 0.0 and extras[1] == 0.0 and extras[2] == 0.0
+    frozen, last_step, s_frozen, log_s, last_noise, last_scale = False, -1.0, 0.0, 0.0, -1.0, 1.0
     total = 0.0
     root_two_pi = 0.5 * log(2.0 * pi)
     for k in range(n):
@@ -159,11 +161,12 @@ def _filter(
         state = 0.0
         for i in range(m):
             state += states[i, 5] * x[i]
-        guess = mean[k] + state + extras[1] * state * state
-        r = noise_var[k] + extras[0] * state * state
+        guess = mean[k] + scale[k] * (state + extras[1] * state * state)
+        slope = scale[k] * (1.0 + 2.0 * extras[1] * state)
+        r = noise_var[k] + extras[0] * (state + extras[4]) ** 2
         if predicted.size:
             predicted[k] = guess
-        if frozen and r == last_noise:
+        if frozen and r == last_noise and scale[k] == last_scale:
             s = s_frozen
         else:
             if frozen:
@@ -173,8 +176,8 @@ def _filter(
                 c = 0.0
                 for j in range(m):
                     c += states[j, 5] * p[i, j]
-                column[i] = c
-                s += states[i, 5] * c
+                column[i] = c * slope
+                s += states[i, 5] * c * slope * slope
             log_s = 0.5 * log(s)
         if variance.size:
             variance[k] = s
@@ -207,15 +210,15 @@ def _filter(
                         moved = max(moved, abs(p[i, j] - before[i, j]) / s)
                         before[i, j] = p[i, j]
                 if moved < 1e-13:
-                    frozen, s_frozen, last_noise = True, s, r
+                    frozen, s_frozen, last_noise, last_scale = True, s, r, scale[k]
             continue
-        # Up to four hypotheses: a jump or none, an outlier or none.
+        # Up to three hypotheses: an outlier, else a jump, else neither.
         outlier = extras[2]
         weights_total, top = 0.0, -1e300
         w0 = w1 = w2 = 0.0
-        s1, s2 = s + (shocks[1] * states[shock_at, 5] ** 2 if shock_at >= 0 else 0.0), s + extras[3]
+        s1, s2 = s + (shocks[1] * (states[shock_at, 5] * slope) ** 2 if shock_at >= 0 else 0.0), s + extras[3]
         l0 = log(max((1.0 - jump) * (1.0 - outlier), 1e-300)) - 0.5 * e * e / s - log_s
-        l1 = log(jump) - 0.5 * e * e / s1 - 0.5 * log(s1) if jump > 0.0 else -1e300
+        l1 = log(jump * (1.0 - outlier)) - 0.5 * e * e / s1 - 0.5 * log(s1) if jump > 0.0 else -1e300
         l2 = log(outlier) - 0.5 * e * e / s2 - 0.5 * log(s2) if outlier > 0.0 else -1e300
         top = max(l0, l1, l2)
         w0, w1, w2 = exp(l0 - top), exp(l1 - top), exp(l2 - top)
@@ -227,28 +230,25 @@ def _filter(
         w0, w1, w2 = w0 / weights_total, w1 / weights_total, w2 / weights_total
         if cdf.size:
             tail = 0.5 * ((1.0 - jump) * (1.0 - outlier)) * erfc(abs(e) / sqrt(2.0 * s))
-            left = (1.0 - jump) * (1.0 - outlier)
             if jump > 0.0:
-                tail += 0.5 * jump * erfc(abs(e) / sqrt(2.0 * s1))
-                left += jump
+                tail += 0.5 * jump * (1.0 - outlier) * erfc(abs(e) / sqrt(2.0 * s1))
             if outlier > 0.0:
                 tail += 0.5 * outlier * erfc(abs(e) / sqrt(2.0 * s2))
-                left += outlier
-            cdf[k] = max(tail / left, 1e-300) * (1.0 if e >= 0 else -1.0)
+            cdf[k] = max(tail, 1e-300) * (1.0 if e >= 0 else -1.0)
         # Gains of the hypotheses; that of a jump sees the covariance with the jump in it.
         a2 = shocks[1] if shock_at >= 0 else 0.0
         for i in range(m):
             work[i] = (w0 / s + w2 / s2) * column[i] + w1 / s1 * column[i]
         if shock_at >= 0:
-            work[shock_at] += w1 / s1 * a2 * states[shock_at, 5]
+            work[shock_at] += w1 / s1 * a2 * states[shock_at, 5] * slope
         for i in range(m):
             for j in range(i + 1):
                 k0i, k0j = column[i] / s, column[j] / s
                 c1i, c1j = column[i], column[j]
                 if i == shock_at:
-                    c1i += a2 * states[shock_at, 5]
+                    c1i += a2 * states[shock_at, 5] * slope
                 if j == shock_at:
-                    c1j += a2 * states[shock_at, 5]
+                    c1j += a2 * states[shock_at, 5] * slope
                 k1i, k1j = c1i / s1, c1j / s1
                 k2i, k2j = column[i] / s2, column[j] / s2
                 spread = w0 * k0i * k0j + w1 * k1i * k1j + w2 * k2i * k2j - work[i] * work[j]
@@ -276,6 +276,7 @@ def log_densities(
     step_s: Floats,
     mean: Floats,
     noise_var: Floats,
+    scale: Floats,
     states: Floats,
     shocks: Floats,
     extras: Floats,
@@ -288,12 +289,14 @@ def log_densities(
         step_s: time since the reading before, s, shape (n,); the first is ignored.
         mean: deterministic part, shape (n,).
         noise_var: variance of the white noise, shape (n,).
+        scale: factor of the states in each reading, shape (n,).
         states: table of states, shape (m, 6).
         shocks: rate per s, variance of the jump, index of the shock's state or -1.
-        extras: noise variance per squared state, quadratic coefficient, probability and variance of an outlier.
+        extras: noise variance per squared state, quadratic coefficient, probability and variance of an outlier, and the
+            offset of the state for the first.
     """
     each = np.zeros(y.size)
-    _filter(y, used, step_s, mean, noise_var, states, shocks, extras, each, _NONE, _NONE, _NONE, _NO_GAINS)
+    _filter(y, used, step_s, mean, noise_var, scale, states, shocks, extras, each, _NONE, _NONE, _NONE, _NO_GAINS)
     return each
 
 
@@ -303,6 +306,7 @@ def predict(
     step_s: Floats,
     mean: Floats,
     noise_var: Floats,
+    scale: Floats,
     states: Floats,
     shocks: Floats,
     extras: Floats,
@@ -314,8 +318,8 @@ def predict(
     n = y.size
     each, cdf, predicted, variance = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     gains = np.zeros((n, states.shape[0]))
-    _filter(y, used, step_s, mean, noise_var, states, shocks, extras, each, cdf, predicted, variance, gains)
-    if shocks[2] >= 0 or extras[0] != 0.0 or extras[2] != 0.0:
+    _filter(y, used, step_s, mean, noise_var, scale, states, shocks, extras, each, cdf, predicted, variance, gains)
+    if shocks[2] >= 0 or extras[0] != 0.0 or extras[1] != 0.0 or extras[2] != 0.0:
         z = np.where(used, -np.sign(cdf) * ndtri(np.clip(np.abs(cdf), 1e-300, 0.5)), 0.0)
     else:
         z = cdf

@@ -4,12 +4,12 @@ from itertools import product
 
 import numpy as np
 import pytest
-from scipy.stats import kstest, multivariate_normal
+from scipy.stats import kstest, multivariate_normal, norm
 
 from aemd.diagnose.kernels import MARKOV, PAIR, PAIR_SECOND, PREVIOUS, WHITE, log_densities, predict, whiten
 
 NO_SHOCKS = np.array([0.0, 0.0, -1.0])
-NO_EXTRAS = np.zeros(4)
+NO_EXTRAS = np.zeros(5)
 
 
 def covariance_of(times_s: np.ndarray, pieces: list, noise: float) -> np.ndarray:
@@ -35,7 +35,9 @@ def test_the_likelihood_is_the_multivariate_normal_density_also_with_gaps_and_un
             [PAIR_SECOND, tau3, omega, 0.5, 0.5, 0],
         ]
     )
-    ours = log_densities(y, used, steps, np.full(80, 0.3), np.full(80, 0.4), states, NO_SHOCKS, NO_EXTRAS).sum()
+    ours = log_densities(
+        y, used, steps, np.full(80, 0.3), np.full(80, 0.4), np.ones(80), states, NO_SHOCKS, NO_EXTRAS
+    ).sum()
     dense = covariance_of(
         times_s, [("markov", tau1, 0, 1.2), ("markov", tau2, 0, 0.7), ("pair", tau3, omega, 0.5)], 0.4
     )
@@ -49,7 +51,7 @@ def test_differenced_noise_has_the_covariance_of_a_difference():
     y = np.random.default_rng(2).standard_normal(n)
     states = np.array([[WHITE, 1, 0, sd, sd, 1], [PREVIOUS, 1, 0, 0, sd, -1]])
     ours = log_densities(
-        y, np.ones(n, bool), np.ones(n), np.zeros(n), np.full(n, 0.1), states, NO_SHOCKS, NO_EXTRAS
+        y, np.ones(n, bool), np.ones(n), np.zeros(n), np.full(n, 0.1), np.ones(n), states, NO_SHOCKS, NO_EXTRAS
     ).sum()
     cov = (0.1 + 2 * sd**2) * np.eye(n) - sd**2 * (np.eye(n, k=1) + np.eye(n, k=-1))
 
@@ -59,7 +61,7 @@ def test_differenced_noise_has_the_covariance_of_a_difference():
 def test_a_random_walk_is_the_limit_of_a_long_time_constant():
     n = 50
     y = np.random.default_rng(3).standard_normal(n).cumsum()
-    arguments = (y, np.ones(n, bool), np.ones(n), np.zeros(n), np.full(n, 0.1))
+    arguments = (y, np.ones(n, bool), np.ones(n), np.zeros(n), np.full(n, 0.1), np.ones(n))
     ours = log_densities(*arguments, np.array([[MARKOV, np.inf, 0, 1.0, 2.0, 1]]), NO_SHOCKS, NO_EXTRAS).sum()
     cov = 4.0 + np.minimum.outer(np.arange(n), np.arange(n)) + 0.1 * np.eye(n)
 
@@ -73,7 +75,7 @@ def test_the_mixture_is_near_the_sum_over_all_patterns_of_shocks():
     states = np.array([[MARKOV, tau, 0, 0.5 * np.sqrt(2 / tau), 0.5, 1], [MARKOV, decay, 0, 0, 0, 1]])
     shocks = np.array([rate, amplitude**2, 1.0])
     ours = log_densities(
-        y, np.ones(n, bool), np.full(n, step), np.zeros(n), np.full(n, 0.2), states, shocks, NO_EXTRAS
+        y, np.ones(n, bool), np.full(n, step), np.zeros(n), np.full(n, 0.2), np.ones(n), states, shocks, NO_EXTRAS
     ).sum()
     jump = 1 - np.exp(-rate * step)
     lags = np.arange(n)[:, None] - np.arange(n)[None, :]
@@ -104,7 +106,7 @@ def test_residuals_of_the_true_shock_model_are_standard_normal():
             u = fade * u + (8 * rng.standard_normal() if rng.random() < 1 - np.exp(-0.15 * step) else 0.0)
             y[k] = x + u + 0.5 * rng.standard_normal()
         _, z, *_ = predict(
-            y, np.ones(n, bool), np.full(n, step), np.zeros(n), np.full(n, 0.25), states, shocks, NO_EXTRAS
+            y, np.ones(n, bool), np.full(n, step), np.zeros(n), np.full(n, 0.25), np.ones(n), states, shocks, NO_EXTRAS
         )
 
         assert kstest(z, "norm").pvalue > 1e-3
@@ -116,10 +118,29 @@ def test_whitening_a_template_is_the_difference_it_makes_to_the_innovations():
     rng = np.random.default_rng(4)
     states = np.array([[MARKOV, 5.0, 0, 0.4, 0.63, 1], [MARKOV, 90.0, 0, 0.1, 0.7, 1]])
     y, template, used = rng.standard_normal(n), np.sin(np.arange(n) / 7), rng.random(n) < 0.95
-    model = (np.zeros(n), np.full(n, 0.3), states, NO_SHOCKS, NO_EXTRAS)
+    model = (np.zeros(n), np.full(n, 0.3), np.ones(n), states, NO_SHOCKS, NO_EXTRAS)
     _, plain, _, variance, gains = predict(y, used, np.ones(n), *model)
     _, moved, *_ = predict(y + 0.1 * template, used, np.ones(n), *model)
 
     left = whiten(template, np.ones(n), states, gains, used)
 
     np.testing.assert_allclose((moved - plain)[used], (0.1 * left / np.sqrt(variance))[used], atol=1e-12)
+
+
+@pytest.mark.parametrize("extras", [[0, 0, 0, 0, 0], [0, 0, 0.3, 4.0, 0], [0.1, 0, 0.3, 4.0, 1.0], [0, 0.1, 0, 0, 0]])
+def test_predicted_densities_are_densities_and_z_is_their_quantile(extras):
+    """Vary the last of five readings: its density integrates to one, and to the normal probability of its z."""
+    states = np.array([[MARKOV, 3.0, 0, 0.5, 0.6, 1], [MARKOV, 2.0, 0, 0, 0, 1]])
+    shocks = np.array([0.4, 9.0, 1.0])
+    grid = np.linspace(-40, 40, 4001)
+    y = np.array([0.2, 1.0, 3.0, 2.0, 0.0])
+    model = (np.zeros(5), np.full(5, 0.2), np.ones(5), states, shocks, np.array(extras, float))
+    density, z = np.empty(grid.size), np.empty(grid.size)
+    for k, last in enumerate(grid):
+        each, normal, *_ = predict(np.append(y[:4], last), np.ones(5, bool), np.ones(5), *model)
+        density[k], z[k] = np.exp(each[4]), normal[4]
+    total = np.cumsum(density) * (grid[1] - grid[0])
+
+    assert total[-1] == pytest.approx(1, abs=1e-6)
+    middle = (total > 0.01) & (total < 0.99)
+    np.testing.assert_allclose(norm.cdf(z)[middle], total[middle], atol=0.01)

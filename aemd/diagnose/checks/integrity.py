@@ -5,12 +5,13 @@ Where it needs to know how predictable a reading is, it takes the innovation var
 no cell of a lattice of step q holds more than erf(q / sqrt(8 S)) of the next reading's probability.
 """
 
+from dataclasses import replace
 from math import erf, inf, log, log10, nan, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtr
-from scipy.stats import norm
+from scipy.stats import binom, norm
 
 from aemd.diagnose.evidence import Defect
 from aemd.diagnose.result import Value
@@ -28,6 +29,10 @@ _COARSE = 0.3
 _JITTER = 0.01
 """Scatter of the stamps, in intervals, from which it is reported: at 1 % the fastest swing that 15 readings/s can
 follow is off by 3 % of its amplitude."""
+_DISTINCT = 0.9
+"""Part of the values that may be distinct, at most, on a lattice."""
+_UNEVEN = 0.1
+_FITTING = 0.95
 _CLOCK = 1e-4
 """Deviation of the interval from the nominal one that is reported; a bench meter's timer keeps 1e-5."""
 
@@ -40,9 +45,15 @@ def check_raw(series: Series, innovation_sd_V: float) -> list[Defect]:
         innovation_sd_V: of the base model's one-step prediction, V.
     """
     q_V = find_lattice(series.value_V[series.used])
+    band = dead_band(series, q_V, innovation_sd_V)
+    # What rests in the band rests at its level, and is not stuck.
+    sound = series
+    if band is not None and band.dropped is not None:
+        sound = replace(series, value_V=np.where(band.dropped, np.nan, series.value_V))
     found = [
         missing_samples(series),
-        stuck_readings(series, q_V, innovation_sd_V),
+        band,
+        stuck_readings(sound, q_V, innovation_sd_V),
         replayed_block(series, q_V),
         quantisation(series, q_V, innovation_sd_V),
         saturation(series, q_V, innovation_sd_V),
@@ -81,38 +92,27 @@ def missing_samples(series: Series) -> Defect | None:
 
 
 def find_lattice(values: Floats) -> float:
-    """Return the step of the lattice that all values lie on; 0 if there is none.
+    """Return the step of the lattice that the values lie on; 0 if there is none.
+
+    The steps between neighbouring distinct values must be whole multiples of their typical one, to a tenth: a meter's
+    lattice that a log rounded to decimals is not exact. Values that hardly ever repeat have no lattice that matters.
 
     >>> find_lattice(np.array([0.3, 0.1, 0.7, 0.4, 0.2] * 20))
     0.1
     """
-    unique = np.unique(values)
-    if unique.size < 2:
+    distinct, counts = np.unique(values, return_counts=True)
+    if distinct.size < 2 or distinct.size > _DISTINCT * values.size:
         return 0.0
-    steps = np.diff(unique)
-    resolution = np.spacing(np.abs(unique).max()) * 8
-    steps = steps[steps > resolution]
-    if steps.size == 0:
+    steps = np.diff(distinct)
+    near = np.minimum(np.concatenate((steps, [inf])), np.concatenate(([inf], steps)))
+    order = np.argsort(near)
+    q = float(near[order][np.searchsorted(np.cumsum(counts[order]), 0.5 * values.size)])
+    multiples = np.maximum(np.rint(steps / q), 1.0)
+    if np.mean(np.abs(steps / q - multiples) < _UNEVEN * np.sqrt(multiples)) < _FITTING:
         return 0.0
-    q = float(steps.min())
-    # Steps are whole multiples of the smallest, or of a divisor of it where it did not occur.
-    for divisor in (1, 2, 3, 4, 5, 6, 7, 8, 9, 10):
-        part = q / divisor
-        if part < 4 * resolution:
-            return 0.0
-        multiples = steps / part
-        if np.all(np.abs(multiples - np.rint(multiples)) * part < 0.02 * part + resolution):
-            return _round_step(part, unique)
-    return 0.0
-
-
-def _round_step(q: float, unique: Floats) -> float:
-    """Return q sharpened over the whole span, then its shortest decimal if that fits as well."""
-    counts = np.rint((unique - unique[0]) / q)
-    q = float((unique[-1] - unique[0]) / counts[-1]) if counts[-1] > 0 else q
+    q = float(steps.sum() / multiples.sum())
     short = float(f"{q:.3g}")
-    span = counts[-1] if counts[-1] > 0 else 1.0
-    return short if abs(short - q) * span < 0.1 * q else q
+    return short if abs(short - q) * float(multiples.sum()) < 0.1 * q else q
 
 
 def _tie_probability(q_V: float, innovation_sd_V: float) -> float:
@@ -124,6 +124,39 @@ def _runs(values: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return where runs of equal values begin, and their lengths; NaN equals nothing."""
     edges = np.flatnonzero(np.concatenate(([True], values[1:] != values[:-1], [True])))
     return edges[:-1], np.diff(edges)
+
+
+def dead_band(series: Series, q_V: float, innovation_sd_V: float) -> Defect | None:
+    """Find one value in the middle that the readings return to too often, with none just beside it.
+
+    Given the past, a reading equals any stated value with at most the tie probability, so how often it does is at most
+    binomial; the value is chosen among n. The hole around it is what sets it apart from a lattice.
+    """
+    values = series.value_V[series.used]
+    distinct, counts = np.unique(values, return_counts=True)
+    at = int(np.argmax(counts))
+    if not 0 < at < distinct.size - 1:
+        return None
+    visits = int(np.count_nonzero(np.diff(np.concatenate(([0], values == distinct[at]))) > 0))
+    p_value = min(1.0, values.size * float(binom.sf(visits - 1, values.size, _tie_probability(q_V, innovation_sd_V))))
+    low, high = float(distinct[at - 1]), float(distinct[at + 1])
+    if p_value > _SURE or visits < 3 or high - low < max(3 * q_V, 0.02 * innovation_sd_V):
+        return None
+    width = high - low
+    return Defect(
+        cause="dead_band",
+        p_value=p_value,
+        parameters={
+            "width_V": Value(width, 0.9 * width, width, "V"),
+            "level_V": exact(float(distinct[at]), "V"),
+            "fraction": exact(counts[at] / values.size, ""),
+        },
+        experiment="move the input slowly through the level: the reading stays there and then jumps",
+        check="returns to one value with none beside it",
+        observed=visits,
+        expected=2,
+        dropped=series.value_V == distinct[at],
+    )
 
 
 def stuck_readings(series: Series, q_V: float, innovation_sd_V: float) -> Defect | None:

@@ -1,5 +1,8 @@
 """All checks on the residuals of a fit, in one list."""
 
+from aemd.diagnose.checks.colour import check_colour, check_resonance
+from aemd.diagnose.checks.moments import check_moments
+from aemd.diagnose.checks.shapes import check_pattern, check_step, check_warm_up, check_witness
 from aemd.diagnose.checks.spectrum import check_lines, make_periodogram
 from aemd.diagnose.evidence import Evidence
 from aemd.diagnose.fit import Fit
@@ -9,5 +12,15 @@ __all__ = ["check_all"]
 
 def check_all(fit: Fit, line_frequency_hz: float | None) -> list[Evidence]:
     """Return the evidence of every check, significant or not."""
-    periodogram = make_periodogram(fit)
-    return [check_lines(fit, periodogram, line_frequency_hz)]
+    found = [
+        check_lines(fit, make_periodogram(fit), line_frequency_hz),
+        check_pattern(fit),
+        check_resonance(fit),
+        *check_colour(fit),
+        check_step(fit),
+        check_warm_up(fit),
+        *check_moments(fit),
+    ]
+    for name in sorted(fit.data.witnesses):
+        found += check_witness(fit, name)
+    return found

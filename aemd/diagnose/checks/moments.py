@@ -1,0 +1,157 @@
+"""Whether the residuals keep their variance and their tails, and whether these follow the clock or the reading."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import exp, log, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import kurtosistest, norm
+
+from aemd.diagnose.evidence import Evidence, two_sided, weighted_chi2_tail
+from aemd.diagnose.fit import Fit
+from aemd.diagnose.hypothesis import Term
+from aemd.diagnose.terms.lines import amplitude_cost
+from aemd.diagnose.terms.noise import ChangingNoise, HeavyTails, SignalDependentNoise
+from aemd.diagnose.terms.shapes import Nonlinearity
+
+__all__ = ["check_moments"]
+
+Floats = NDArray[np.float64]
+Outcome = tuple[Evidence, Callable[[], list[Term]]]
+"""Evidence, and what makes the terms that could explain it."""
+
+_WORTH_A_FIT = 0.01
+"""p from which the look-alikes are prepared; far above the level of any finding."""
+
+
+def kuiper_tail(range_: float) -> float:
+    """Return the probability that a Brownian bridge has a larger range (Kuiper 1960).
+
+    >>> round(kuiper_tail(1.747), 3)
+    0.05
+    """
+    j = np.arange(1, 20)
+    terms = 2 * (4 * j**2 * range_**2 - 1) * np.exp(-2 * j**2 * range_**2)
+    return float(np.clip(terms.sum(), 0.0, 1.0)) if range_ > 0.5 else 1.0
+
+
+def check_moments(fit: Fit) -> list[Evidence]:
+    """Run the tests of variance, tails and scale; where one fails, each names all that the others look for.
+
+    They share their look-alikes: a gain that flickers makes tails, and a noise that follows a slow reading changes.
+    """
+    tests = (_changing_noise, _tails, _signal_dependent_noise, _nonlinearity)
+    outcomes = [test(fit) for test in tests]
+    if min(evidence.p_value for evidence, _ in outcomes) > _WORTH_A_FIT:
+        return [evidence for evidence, _ in outcomes]
+    terms = tuple(term for _, make in outcomes for term in make())
+    return [replace(item, terms=terms) if item.p_value <= _WORTH_A_FIT else item for item, _ in outcomes]
+
+
+def _changing_noise(fit: Fit) -> Outcome:
+    """Sum z^2 - 1 along the record: the range of that walk is that of a Brownian bridge if the variance stays.
+
+    The range and not the largest excursion, so that noise that comes and goes counts as much as noise that stays.
+    """
+    used = fit.data.used
+    squares = fit.z[used] ** 2
+    walk = np.concatenate(([0.0], np.cumsum(squares - squares.mean()))) / (sqrt(squares.size) * float(squares.std()))
+    low, high = int(np.argmin(walk)), int(np.argmax(walk))
+    begin, end = min(low, high), max(low, high)
+    range_ = float(walk[high] - walk[low])
+
+    def terms() -> list[Term]:
+        inside = float(squares[begin:end].mean())
+        outside = float(np.concatenate((squares[:begin], squares[end:], [1.0])).mean())
+        t_s = np.append(fit.data.t_s[used], fit.data.span_s)
+        cost = amplitude_cost(1, fit.data.n) + 2 * log(fit.data.n / max(end - begin, 1) + 1)
+        # What is measured is all of the innovation; the white noise in it has to change by more.
+        share = float(np.median(fit.variance[used])) / exp(2 * fit.theta[4])
+        wanted = max(1 + (inside / outside - 1) * share, 0.05)
+        return [ChangingNoise(float(t_s[begin]), float(t_s[end]), sqrt(wanted), cost)]
+
+    evidence = Evidence(
+        check="range of the summed squares of the residuals, in units of a Brownian bridge",
+        p_value=kuiper_tail(range_),
+        observed=range_,
+        low=0.94,
+        high=1.86,
+    )
+    return evidence, terms
+
+
+def _tails(fit: Fit) -> Outcome:
+    """Compare the residuals' fourth moment with the normal law's (Anscombe and Glynn 1983)."""
+    z = fit.z[fit.data.used]
+    score = float(kurtosistest(z).statistic)
+
+    def terms() -> list[Term]:
+        excess = max(float(np.mean((z / z.std()) ** 4)) - 3, 0.05)
+        core = sqrt(float(np.median(fit.variance[fit.data.used])))
+        sizes = ((0.01, 3.0), (0.05, 2.0), (min(0.2, excess), 1.2))
+        cost = amplitude_cost(2, fit.data.n)
+        return [HeavyTails(fraction, ratio * core, cost) for fraction, ratio in sizes]
+
+    evidence = Evidence(
+        check="kurtosis of the residuals: score in deviations",
+        p_value=float(norm.sf(score)),
+        observed=score,
+        low=-1.96,
+        high=1.96,
+    )
+    return evidence, terms
+
+
+def _signal_dependent_noise(fit: Fit) -> Outcome:
+    """Regress z^2 on the square of the predicted reading, which the readings before it alone decide."""
+    data, used = fit.data, fit.data.used
+    reading = (fit.predicted + data.origin_V / data.unit_V)[used]
+    shape = reading**2 / fit.variance[used]
+    shape = shape - shape.mean()
+    size = max(float(np.sqrt(np.sum(shape**2))), 1e-300)
+    squares = fit.z[used] ** 2
+    raw = float(shape @ (squares - squares.mean())) / size
+    score = raw / float(squares.std())
+
+    def terms() -> list[Term]:
+        return [SignalDependentNoise(sqrt(max(raw, 0.1) / size), amplitude_cost(1, data.n))]
+
+    evidence = Evidence(
+        check="noise that grows with the reading: score in deviations",
+        p_value=max(weighted_chi2_tail(shape / size, raw), float(norm.sf(score))),
+        observed=score,
+        low=-1.96,
+        high=1.96,
+    )
+    return evidence, terms
+
+
+def _nonlinearity(fit: Fit) -> Outcome:
+    """Test for y = x + b x^2: it shifts the prediction by x^2, and makes the noise of x count 1 + 2 b x times.
+
+    Both parts of the score are sums whose terms the readings before them decide, so they have mean zero and add their
+    variances. Slow parts of x^2 are the drift's business; whitening takes them out.
+    """
+    data, used = fit.data, fit.data.used
+    state = np.where(used, fit.predicted - fit.theta[5], 0.0)
+    shift = fit.whitened(state**2)
+    share = 1 - exp(2 * fit.theta[4]) / fit.variance
+    louder = np.where(used, 4 * state * np.maximum(share, 0.0), 0.0)
+    louder[used] -= louder[used].mean()
+    squares = np.where(used, fit.z**2 - 1, 0.0)
+    variance = float(np.sum(shift**2) + 0.25 * np.sum(louder**2) * float(np.mean(squares[used] ** 2)))
+    raw = float(shift @ fit.z + 0.5 * (louder @ squares))
+    score = raw / sqrt(max(variance, 1e-300))
+
+    def terms() -> list[Term]:
+        return [Nonlinearity(raw / max(variance, 1e-300), amplitude_cost(1, data.n))]
+
+    evidence = Evidence(
+        check="residuals against a bent scale: score in deviations",
+        p_value=two_sided(score),
+        observed=score,
+        low=-1.96,
+        high=1.96,
+    )
+    return evidence, terms
