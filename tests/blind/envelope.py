@@ -48,6 +48,7 @@ SINGLE = (
     "step",
     "thermal_drift",
     "warmup_drift",
+    "supply_coupling",
     "nonlinearity",
     "dead_band",
     "reading_pattern",
@@ -60,7 +61,7 @@ SINGLE = (
     "clock_error",
 )
 """Hidden alone. Flicker noise, a random walk and a third Markov process are not among them: on records of these lengths
-the refitted base absorbs them. Nor are range switching, latency and supply coupling: not written yet."""
+the refitted base absorbs them. Nor are range switching and latency: not written yet."""
 OUTSIDE = ("ooc_packet", "ooc_bump", "ooc_echo", "ooc_gain_step")
 DOUBLE = ("periodic_interference", "difference_noise", "changing_noise", "quantisation", "reading_pattern", "resonance")
 
@@ -166,7 +167,7 @@ def draw_effect(rng: np.random.Generator, run: Run, cause: str, factor: float) -
     plant = run.plant
     if cause in ("ring_down", "shock_law") and plant.shocks_per_s * plant.n * plant.interval_s < 5:
         return None
-    if cause == "thermal_drift" and not plant.witness:
+    if cause in ("thermal_drift", "supply_coupling") and not plant.witness:
         return None
     shape = draw_shape(rng, plant, cause)
     if shape is None:
@@ -181,6 +182,8 @@ def draw_effect(rng: np.random.Generator, run: Run, cause: str, factor: float) -
     low, high = RANGES.get(cause, (1e-4 * unit_V, 1e3 * unit_V))
     if cause == "nonlinearity":
         low, high = 1e-4 / unit_V, 1 / unit_V
+    if cause == "supply_coupling":
+        low, high = 1e-4, 1e3
     return size_for(target, run, Effect(cause, 1.0, shape), low, high)
 
 

@@ -11,7 +11,7 @@ from math import ceil, exp, pi, sqrt
 
 import numpy as np
 
-from tests.blind.plant import Effect, Record, Run, World, lose, make_world, markov, shape_of_shock, thermometer
+from tests.blind.plant import Effect, Record, Run, World, lose, make_world, markov, shape_of_shock, supply, thermometer
 
 __all__ = ["AFTERWARDS", "AT_INPUT", "NOISE", "make_record", "template"]
 
@@ -33,7 +33,7 @@ def make_record(run: Run) -> Record:
         if effect.cause in AT_INPUT:
             fine += effect.size * AT_INPUT[effect.cause](world, effect.shape)
     value = world.read(fine)
-    temperature = thermometer(world)
+    beside = {"temperature": thermometer(world), "supply": supply(world)} if plant.witness else {}
     white = plant.white_sd_V * world.rng("white").standard_normal(plant.n)
     for effect in run.effects:
         if effect.cause in NOISE:
@@ -43,7 +43,7 @@ def make_record(run: Run) -> Record:
         np.arange(plant.n),
         np.arange(plant.n) * plant.interval_s + plant.aperture_s / 2,
         value,
-        {"temperature": (np.arange(plant.n) * plant.interval_s, temperature)} if plant.witness else {},
+        {name: (np.arange(plant.n) * plant.interval_s, column) for name, column in beside.items()},
     )
     for effect in run.effects:
         if effect.cause in AFTERWARDS:
@@ -198,6 +198,11 @@ def nonlinearity(world: World, effect: Effect, record: Record) -> Record:
     return replace(record, value_V=record.value_V + effect.size * (record.value_V - record.value_V.mean()) ** 2)
 
 
+def supply_coupling(world: World, effect: Effect, record: Record) -> Record:
+    """size: gain per volt of the supply, 1/V."""
+    return replace(record, value_V=record.value_V * (1 + effect.size * (supply(world) - 5)))
+
+
 def dead_band(world: World, effect: Effect, record: Record) -> Record:
     """size: width, V."""
     level = float(np.median(record.value_V))
@@ -261,6 +266,7 @@ AFTERWARDS: Mapping[str, Callable[[World, Effect, Record], Record]] = {
     "reading_pattern": pattern,
     "smoothing": smoothing,
     "nonlinearity": nonlinearity,
+    "supply_coupling": supply_coupling,
     "dead_band": dead_band,
     "quantisation": quantisation,
     "saturation": saturation,

@@ -9,7 +9,19 @@ from math import ceil, exp, inf, pi, sqrt
 
 import numpy as np
 
-__all__ = ["Effect", "Plant", "Record", "Run", "World", "lose", "make_world", "markov", "shape_of_shock", "thermometer"]
+__all__ = [
+    "Effect",
+    "Plant",
+    "Record",
+    "Run",
+    "World",
+    "lose",
+    "make_world",
+    "markov",
+    "shape_of_shock",
+    "supply",
+    "thermometer",
+]
 
 BLOCK = 256  # points over which a recursion is solved at once; e^(256 steps/tau) stays far from overflow
 
@@ -33,7 +45,7 @@ class Plant:
     level_V: float = 0.0
     lost_fraction: float = 0.0
     witness: bool = False
-    """Whether a thermometer stands beside it, whether or not it matters."""
+    """Whether a thermometer and a meter of the supply stand beside it, whether or not they matter."""
 
     @property
     def step_s(self) -> float:
@@ -149,6 +161,15 @@ def thermometer(world: World) -> np.ndarray:
     heating_s = rng.uniform(120, 400)
     phase = rng.uniform(0, 2 * pi)
     return 23 + slow + 0.3 * np.sin(2 * pi * np.arange(plant.n) * plant.interval_s / heating_s + phase)
+
+
+def supply(world: World) -> np.ndarray:
+    """Return the supply's voltage, V: a load that comes and goes, and a little wandering."""
+    plant = world.plant
+    rng = world.rng("supply")
+    wandering = markov(rng, plant.n, plant.interval_s, 20.0, 0.01 * sqrt(2 / 20.0))
+    load = np.sign(np.sin(2 * pi * (np.arange(plant.n) * plant.interval_s / rng.uniform(30, 90) + rng.uniform())))
+    return 5 + wandering + 0.01 * load
 
 
 def lose(record: Record, lost: np.ndarray) -> Record:

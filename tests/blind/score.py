@@ -191,6 +191,7 @@ def true_parameters(effect: Effect, plant: Plant) -> dict[str, float]:
         "resonance": {"frequency_hz": effect.shape.get("frequency_hz", 0.0)},
         "difference_noise": {"sd_V": effect.size},
         "step": {"time_s": effect.shape.get("time_s", 0.0), "step_V": effect.size},
+        "supply_coupling": {"coefficient_per_V": effect.size},
         "thermal_drift": {"coefficient_V_per_C": effect.size, "lag_s": effect.shape.get("lag_s", 0.0)},
         "warmup_drift": {"tau_s": effect.shape.get("tau_s", 0.0), "amplitude_V": effect.size},
         "popcorn_noise": {"step_V": effect.size},

@@ -240,7 +240,9 @@ def test_every_effect_that_is_not_counted_has_a_d_that_grows_with_its_size(cause
     shape = None
     for seed in range(99):
         shape = draw_shape(np.random.default_rng(seed), plant, cause) if shape is None else shape
-    size = {"nonlinearity": 50.0, "changing_noise": 2.0}.get(cause, 0.3 if cause in RANGES else 1e-2)
+    size = {"nonlinearity": 50.0, "supply_coupling": 5.0, "changing_noise": 2.0}.get(
+        cause, 0.3 if cause in RANGES else 1e-2
+    )
     small, large = (d_nats(Run(plant, 1), Effect(cause, factor * size, shape)) for factor in (1.0, 1.5))
 
     assert 0 < small < large
@@ -256,10 +258,14 @@ def test_both_files_hold_the_record(tmp_path):
     with Recording(tmp_path / "a.mcap") as recording:
         batches = list(recording.batches())
     readings = np.concatenate([batch.readings for batch in batches])
-    witness = np.concatenate([batch.witnesses["temperature"] for batch in batches if batch.witnesses])
+    witnesses = {
+        name: np.concatenate([batch.witnesses[name]["value"] for batch in batches if name in batch.witnesses])
+        for name in ("temperature", "supply")
+    }
 
     assert table[:, 1].tolist() == readings["value_V"].tolist() == record.value_V.tolist()
     assert table[:, 0] == pytest.approx(record.time_s, abs=1e-9)
     assert ((readings["t_ns"] - START_NS) * 1e-9).tolist() == pytest.approx(record.time_s.tolist(), abs=1e-9)
     assert readings["index"].tolist() == record.index.tolist()
-    assert witness["value"].tolist() == record.witnesses["temperature"][1].tolist()
+    for name, column in witnesses.items():
+        assert column.tolist() == record.witnesses[name][1].tolist()
