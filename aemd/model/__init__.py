@@ -4,7 +4,15 @@ terms ──> sum ──> mean over the aperture ──> effects, one after the 
 """
 
 from aemd.model.catalogue import EFFECTS, TERMS, Effect, Model, ModelRealisation, Term, Truth
-from aemd.model.converter import DeadBand, Nonlinearity, Quantiser, RangeSwitching, ReadingPattern, Saturation
+from aemd.model.converter import (
+    DeadBand,
+    Nonlinearity,
+    Quantiser,
+    RangeSwitching,
+    ReadingPattern,
+    Saturation,
+    Smoothing,
+)
 from aemd.model.deterministic import Level, PeriodicPulse, Sine, SquareBurst, Step, WarmUp
 from aemd.model.effect import EffectRealisation, Readings, Witness
 from aemd.model.flicker import FlickerNoise
@@ -50,6 +58,7 @@ __all__ = [
     "Shocks",
     "SignalDependentNoise",
     "Sine",
+    "Smoothing",
     "SquareBurst",
     "Step",
     "StuckReadings",

@@ -21,7 +21,15 @@ import numpy as np
 from annotated_types import Ge
 from pydantic import Discriminator
 
-from aemd.model.converter import DeadBand, Nonlinearity, Quantiser, RangeSwitching, ReadingPattern, Saturation
+from aemd.model.converter import (
+    DeadBand,
+    Nonlinearity,
+    Quantiser,
+    RangeSwitching,
+    ReadingPattern,
+    Saturation,
+    Smoothing,
+)
 from aemd.model.deterministic import Level, PeriodicPulse, Sine, SquareBurst, Step, WarmUp
 from aemd.model.effect import Readings, Witness
 from aemd.model.flicker import FlickerNoise
@@ -66,6 +74,7 @@ Effect: TypeAlias = Annotated[
     | DeadBand
     | RangeSwitching
     | ReadingPattern
+    | Smoothing
     | Saturation
     | Quantiser
     | StuckReadings

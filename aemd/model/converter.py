@@ -1,16 +1,17 @@
-"""What a converter does to a reading: it rounds, clips, bends, sticks, switches ranges and alternates."""
+"""What a converter does to a reading: it bends, sticks, switches ranges, alternates, smooths, clips and rounds."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Len
+from annotated_types import Ge, Interval, Len
 from numpy.random import Generator
+from scipy.signal import lfilter
 
 from aemd.model.effect import Readings
 from aemd.model.term import Finite, NonNegative, Positive, Volts
 
-__all__ = ["DeadBand", "Nonlinearity", "Quantiser", "RangeSwitching", "ReadingPattern", "Saturation"]
+__all__ = ["DeadBand", "Nonlinearity", "Quantiser", "RangeSwitching", "ReadingPattern", "Saturation", "Smoothing"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,3 +158,33 @@ class ReadingPattern:
         """Return the readings with their offsets."""
         turn = (readings.index + self.first) % len(self.offsets_V)
         return replace(readings, value_V=readings.value_V + np.array(self.offsets_V)[turn])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Smoothing:
+    """Filters as a meter's digital filter does, y[k] = kept y[k-1] + (1 - kept) x[k]; settled on the first reading."""
+
+    effect: Literal["smoothing"] = "smoothing"
+    kept: Annotated[float, Interval(gt=0, lt=1)]
+    """Share of the last output in the next one; its time constant is -interval/ln(kept)."""
+
+    def realise(self, rng: Generator) -> "SmoothingRealisation":  # noqa: ARG002 - there is nothing to draw
+        """Return a history that has not begun."""
+        return SmoothingRealisation(self)
+
+
+class SmoothingRealisation:
+    """Remembers the last output."""
+
+    def __init__(self, smoothing: Smoothing) -> None:
+        self._kept = smoothing.kept
+        self._last_V: float | None = None
+
+    def apply(self, readings: Readings) -> Readings:
+        """Return the filter's output."""
+        if not readings.value_V.size:
+            return readings
+        last_V = float(readings.value_V[0]) if self._last_V is None else self._last_V
+        smoothed, _ = lfilter([1 - self._kept], [1, -self._kept], readings.value_V, zi=[self._kept * last_V])
+        self._last_V = float(smoothed[-1])
+        return replace(readings, value_V=smoothed)

@@ -24,6 +24,7 @@ from aemd.model import (
     Saturation,
     SignalDependentNoise,
     Sine,
+    Smoothing,
     StuckReadings,
     SupplyCoupling,
     TimestampJitter,
@@ -41,6 +42,7 @@ EVERY = (
     DeadBand(width_V=0.4),
     RangeSwitching(threshold_V=1.0, hysteresis_V=0.3, offset_V=0.1, sd_V=0.2),
     ReadingPattern(offsets_V=(0.1, -0.1, 0.0), first=1),
+    Smoothing(kept=0.4),
     Saturation(low_V=-1.5, high_V=1.5),
     Quantiser(step_V=0.01),
     StuckReadings(fraction=0.2, mean_readings=3.0),
@@ -224,3 +226,16 @@ def test_saturation_piles_up_at_its_ends():
 
     assert np.count_nonzero(clipped == -1.0) == np.count_nonzero(values <= -1)
     assert np.count_nonzero(clipped == 2.0) == np.count_nonzero(values >= 2)
+
+
+def test_smoothing_forgets_by_its_share_from_a_settled_start():
+    read = applied(Smoothing(kept=0.6), make_readings([5.0, 5.0, 6.0, 5.0, 5.0])).value_V
+
+    assert read == pytest.approx([5, 5, 5.4, 5.24, 5.144])
+
+
+def test_smoothing_leaves_the_variance_of_an_exponential_mean():
+    # (1 - kept)/(1 + kept) of white noise's variance.
+    read = applied(Smoothing(kept=0.6), make_readings(normal())).value_V
+
+    assert read.var() == pytest.approx(0.25, rel=5 * sqrt(2 * 4 / N))
