@@ -60,7 +60,9 @@ def _markov_means() -> tuple[Floats, Floats, Floats]:
     Through the pause p before an aperture a, in units of tau: x <- e^-p x + noise. Through the aperture, from x: the
     mean is g x + m with g = (1 - e^-a)/a, the end e^-a x + e, and integrating the process's equation twice gives
 
-        var m = 2 sigma^2 (a - 2 (1 - e^-a) + (1 - e^-2a)/2)/a^2,  cov(m, e) = sigma^2 a g^2,  var e = sigma^2 (1 - e^-2a)
+        var m = 2 sigma^2 (a - 2 (1 - e^-a) + (1 - e^-2a)/2)/a^2
+        cov(m, e) = sigma^2 a g^2
+        var e = sigma^2 (1 - e^-2a)
     """
     a, p = APERTURE_S / MARKOV_TAU_S, (INTERVAL_S - APERTURE_S) / MARKOV_TAU_S
     square, gone = MARKOV_SD_V**2, -np.expm1(-a)
