@@ -232,6 +232,16 @@ def test_it_starts_afresh_after_a_long_hole_another_acquisition_and_an_endless_d
     assert estimates_of(options, step)["value_V"][-1] == pytest.approx(2.0, abs=1e-3)
 
 
+@pytest.mark.timeout(30)
+def test_a_hole_of_a_trillion_readings_is_no_work() -> None:
+    block = drawn(ABOUT_ZERO, seed=15)[0]
+    block["index"][200:] += 10**12
+
+    ours = estimates_of(replace(ABOUT_ZERO, lag=5), block)
+
+    assert np.flatnonzero(ours["status"] & Status.RESTARTED).tolist() == [200]
+
+
 def test_a_unit_is_only_a_unit() -> None:
     block = drawn(ABOUT_ZERO, seed=11)[0]
     scaled = block.copy()
