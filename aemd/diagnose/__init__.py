@@ -2,6 +2,8 @@
 
 from aemd.diagnose.catalogue import COVERED, NOT_COVERED
 from aemd.diagnose.engine import criticise, diagnose
+from aemd.diagnose.extend import model_of, write_extended
+from aemd.diagnose.report import format_diagnosis
 from aemd.diagnose.result import Diagnosis, Discrepancy, Finding, Gain, Value
 
 __all__ = [
@@ -14,4 +16,7 @@ __all__ = [
     "Value",
     "criticise",
     "diagnose",
+    "format_diagnosis",
+    "model_of",
+    "write_extended",
 ]

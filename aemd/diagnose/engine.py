@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,13 +16,14 @@ from aemd.diagnose.catalogue import COVERED, EXPERIMENTS, NOT_COVERED
 from aemd.diagnose.checks.integrity import check_raw
 from aemd.diagnose.checks.residuals import check_all
 from aemd.diagnose.evidence import Defect, Evidence
-from aemd.diagnose.fit import Fit, fit_base, refit
+from aemd.diagnose.fit import Fit, fit_base, refit, restart_base
 from aemd.diagnose.gain import SLOW, HeldOut, block_of, measure_gain
 from aemd.diagnose.hypothesis import make_data
 from aemd.diagnose.intervals import covariance, describe
 from aemd.diagnose.naming import Named, name
 from aemd.diagnose.result import Diagnosis, Discrepancy, Finding, Gain, Verdict
 from aemd.diagnose.series import Series, load_series
+from aemd.diagnose.translate import as_tables, to_model
 from aemd.errors import ConfigError
 
 __all__ = ["criticise", "diagnose"]
@@ -90,7 +92,7 @@ def criticise(series: Series, *, line_frequency_hz: float | None = None, progres
         if found is None:
             break
         named.append((left[0], found))
-        fit = found.fit
+        fit = restart_base(found.fit)
     fit, named = _pruned(fit, named)
     tell("measuring gains on held-out blocks")
     findings = [_from_defect(defect, base) for defect in defects]
@@ -105,7 +107,6 @@ def criticise(series: Series, *, line_frequency_hz: float | None = None, progres
     if left:
         findings.append(_unexplained(left, fit))
     verdict: Verdict = "unexplained" if left or worse else "explained" if findings else "nothing_found"
-    spread = covariance(fit)
     return Diagnosis(
         verdict=verdict,
         n=int(np.count_nonzero(series.used)),
@@ -115,15 +116,27 @@ def criticise(series: Series, *, line_frequency_hz: float | None = None, progres
             [Discrepancy(d.check, d.observed, 0.0, d.expected, d.p_value) for d in defects]
             + [Discrepancy(e.check, e.observed, e.low, e.high, e.p_value) for e in seen]
         ),
-        base_model={"base": describe(base, 0, covariance(base))},
-        extended_model={
-            ("base" if number == 0 else f"{number}_{term.cause}"): describe(fit, number, spread)
-            for number, term in enumerate(fit.terms)
-        },
+        base_model=_tables(base, series.aperture_s),
+        extended_model=_tables(fit, series.aperture_s),
+        path=series.path,
         seconds=time.perf_counter() - begun,
         covered=COVERED,
         not_covered=NOT_COVERED,
     )
+
+
+def _tables(fit: Fit, aperture_s: float) -> dict[str, Any]:
+    """Return a fit as the catalogue's model, and its parameters with their intervals."""
+    made, without = to_model(fit, aperture_s)
+    spread = covariance(fit)
+    return {
+        **as_tables(made),
+        "without_term": list(without),
+        "parameters": {
+            ("base" if number == 0 else f"{number}_{term.cause}"): describe(fit, number, spread)
+            for number, term in enumerate(fit.terms)
+        },
+    }
 
 
 def _significant(evidence: list[Evidence], level: float) -> list[Evidence]:

@@ -77,6 +77,8 @@ class Diagnosis:
     base_model: Mapping[str, Any]
     extended_model: Mapping[str, Any]
     seconds: float
+    path: str = ""
+    """The file."""
     covered: tuple[str, ...] = field(default=())
     """Mechanisms that were looked for."""
     not_covered: tuple[str, ...] = field(default=())

@@ -47,6 +47,8 @@ class Series:
     """As the file says it was asked for; 0 if it does not."""
     numbered: bool = False
     """Whether the file numbers its readings, so that a loss is known and not inferred."""
+    aperture_s: float = 0.02
+    """As the file says; else one cycle of 50 Hz, as a meter at NPLC 1 takes."""
     witnesses: Mapping[str, Floats] = field(default_factory=dict)
     """Further quantities, interpolated at the readings' times."""
 
@@ -96,6 +98,7 @@ def _from_recording(path: Path, made: Path, *, numbered: bool) -> Series:
     with Recording(made, allow_unfinished=True) as recording:
         batches = list(recording.batches())
         nominal = recording.description.interval_s
+        stated = recording.description.session.get("aperture_s", "") if numbered else ""
     blocks = [batch.readings for batch in batches if batch.readings.size]
     readings = np.concatenate(blocks) if blocks else np.empty(0, READING)
     if readings.size < _LEAST_READINGS:
@@ -139,6 +142,7 @@ def _from_recording(path: Path, made: Path, *, numbered: bool) -> Series:
         interval_s=interval_s,
         nominal_interval_s=nominal if numbered and math.isfinite(nominal) else 0.0,
         numbered=numbered,
+        aperture_s=float(stated) if stated else 0.02,
         witnesses=witnesses,
     )
 

@@ -1,0 +1,225 @@
+"""Between what was fitted and the catalogue's model: terms and effects in volts and seconds.
+
+A fit's first reading is at the model's time 0, the middle of the first aperture being half an aperture later.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from math import atan2, exp, hypot, inf, pi, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aemd import model
+from aemd.diagnose.fit import Fit
+from aemd.diagnose.hypothesis import Base
+from aemd.diagnose.terms.lines import Sines
+from aemd.diagnose.terms.noise import (
+    ChangingNoise,
+    DifferenceNoise,
+    ExtraMarkov,
+    Flicker,
+    HeavyTails,
+    RandomWalk,
+    Resonance,
+    SignalDependentNoise,
+)
+from aemd.diagnose.terms.shapes import Nonlinearity, ReadingPattern, Step, SupplyCoupling, ThermalDrift, WarmUp
+
+__all__ = ["as_tables", "to_model"]
+
+Floats = NDArray[np.float64]
+Made = tuple[list[Any], list[Any]]
+
+_BLOCKED = 0.05
+"""Part of a sinusoid that an aperture must let through for its amplitude before the aperture to mean anything."""
+_A_WALK = 100.0
+"""Spans of the record from which a time constant is called infinite."""
+
+
+def to_model(fit: Fit, aperture_s: float) -> tuple[model.Model, tuple[str, ...]]:
+    """Return the model that the fit describes, and the causes that the catalogue has no term for.
+
+    Args:
+        fit: base and terms.
+        aperture_s: of the meter that the model is for, s; white noise and lines depend on it.
+    """
+    terms, effects, without = list[Any](), list[Any](), list[str]()
+    for number, term in enumerate(fit.terms):
+        theta = fit.parts_of(number)
+        if isinstance(term, Base):
+            terms += _base(term, theta, fit, aperture_s)
+            continue
+        make = _MAKERS.get(type(term))
+        if make is None:
+            without.append(term.cause)
+            continue
+        made, changed = make(term, theta, fit, aperture_s)
+        terms += made
+        effects += changed
+    return model.Model(tuple(terms), 1, tuple(effects)), tuple(without)
+
+
+def as_tables(made: model.Model) -> Mapping[str, Any]:
+    """Return a model as plain tables, as its TOML file has them."""
+    return {
+        "seed": made.seed,
+        "terms": [{key: value for key, value in asdict(term).items() if value is not None} for term in made.terms],
+        "effects": [asdict(effect) for effect in made.effects],
+    }
+
+
+def _base(base: Base, v: Floats, fit: Fit, aperture_s: float) -> list[Any]:
+    unit, span = fit.data.unit_V, fit.data.span_s
+    drift_tau_s = exp(v[2])
+    made: list[Any] = [
+        model.Level(level_V=float(v[5] * unit + fit.data.origin_V)),
+        model.GaussMarkov(role="signal", rate_V_per_rt_s=exp(v[1]) * unit, tau_s=exp(v[0])),
+        model.GaussMarkov(
+            role="internal",
+            rate_V_per_rt_s=exp(v[3]) * unit,
+            tau_s=inf if drift_tau_s > _A_WALK * span else drift_tau_s,
+        ),
+        model.WhiteNoise.from_sd(exp(v[4]) * unit * _quietest(fit), aperture_s),
+    ]
+    if base.shocks:
+        made.append(model.Shocks(rate_per_s=exp(v[6]), sd_V=exp(v[7]) * unit, decay_s=exp(v[8])))
+    return made
+
+
+def _quietest(fit: Fit) -> float:
+    """Return by how much the white noise is less where it is least: that part is there all the time."""
+    ratios = [exp(fit.parts_of(at)[0]) for at, term in enumerate(fit.terms) if isinstance(term, ChangingNoise)]
+    return min([1.0, *ratios])
+
+
+def _sines(term: Sines, v: Floats, fit: Fit, aperture_s: float) -> Made:
+    frequency, rate = float(term.frequency_hz + v[0] / fit.data.span_s), 1 / fit.data.interval_s
+    made = []
+    for number, harmonic in enumerate(term.harmonics):
+        a, b, f = float(v[1 + 2 * number]), float(v[2 + 2 * number]), harmonic * frequency
+        if abs(np.sinc(f * aperture_s)) < _BLOCKED:  # an aperture of whole periods: the alias makes the same readings
+            folded = f - rate * round(f / rate)
+            f, b = abs(folded), float(np.copysign(b, b * folded))
+        passed = float(np.sinc(f * aperture_s))
+        phase = atan2(a, b) - pi * f * aperture_s
+        amplitude_V = hypot(a, b) * fit.data.unit_V / passed
+        if amplitude_V < 0:
+            amplitude_V, phase = -amplitude_V, phase + pi
+        if f > 0:
+            made.append(model.Sine(role="external", amplitude_V=amplitude_V, frequency_hz=f, phase_rad=phase))
+    return made, []
+
+
+def _changing(term: ChangingNoise, v: Floats, fit: Fit, aperture_s: float) -> Made:
+    """Return the noise that is added between the instants; where it is less there, what is added elsewhere."""
+    white_V, ratio = exp(fit.theta[4]) * fit.data.unit_V, exp(v[0])
+    density = white_V * sqrt(abs(ratio**2 - 1)) * sqrt(2 * aperture_s)
+    inside, outside = (term.begin_s, term.end_s - term.begin_s), ((0.0, term.begin_s), (term.end_s, inf))
+    spans = (inside,) if ratio >= 1 else outside
+    return [
+        model.WhiteNoise(density_V_per_rt_hz=density, start_s=start, duration_s=length)
+        for start, length in spans
+        if length > 0
+    ], []
+
+
+def _step(term: Step, v: Floats, fit: Fit, _: float) -> Made:
+    at_s = max(term.time_s - fit.data.interval_s / 2, 0.0)
+    return [model.Step(time_s=at_s, step_V=float(v[0] * fit.data.unit_V))], []
+
+
+def _warm_up(_term: WarmUp, v: Floats, fit: Fit, _: float) -> Made:
+    return [model.WarmUp(amplitude_V=float(v[1] * fit.data.unit_V), tau_s=exp(v[0]))], []
+
+
+def _extra(_term: ExtraMarkov, v: Floats, fit: Fit, _: float) -> Made:
+    return [model.GaussMarkov.from_sd(exp(v[1]) * fit.data.unit_V, exp(v[0]), role="internal")], []
+
+
+def _walk(_term: RandomWalk, v: Floats, fit: Fit, _: float) -> Made:
+    return [model.GaussMarkov(role="internal", rate_V_per_rt_s=exp(v[0]) * fit.data.unit_V, start_V=0.0)], []
+
+
+def _flicker(_term: Flicker, v: Floats, fit: Fit, _: float) -> Made:
+    low_hz, high_hz = 0.3 / fit.data.span_s, 0.5 / fit.data.interval_s
+    return [model.FlickerNoise(amplitude_V=exp(v[0]) * fit.data.unit_V, low_hz=low_hz, high_hz=high_hz)], []
+
+
+def _resonance(term: Resonance, v: Floats, fit: Fit, _: float) -> Made:
+    frequency = term.frequency_hz + v[1] / term.tau_s
+    quality = max(pi * frequency * exp(v[0]), 0.51)
+    return [model.Resonance(frequency_hz=float(frequency), quality=quality, sd_V=exp(v[2]) * fit.data.unit_V)], []
+
+
+def _difference(_term: DifferenceNoise, v: Floats, fit: Fit, _: float) -> Made:
+    return [], [model.DifferenceNoise(sd_V=exp(v[0]) * fit.data.unit_V)]
+
+
+def _tails(_term: HeavyTails, v: Floats, fit: Fit, _: float) -> Made:
+    # Student's law with the mixture's variance and kurtosis, 3/p - 3.
+    fraction = min(exp(v[0]), 0.99)
+    sd_V = sqrt(fraction) * exp(v[1]) * fit.data.unit_V
+    return [], [model.HeavyTails(sd_V=sd_V, dof=4 + 6 / (3 / fraction - 3))]
+
+
+def _signal_dependent(_term: SignalDependentNoise, v: Floats, _fit: Fit, _: float) -> Made:
+    return [], [model.SignalDependentNoise(fraction=exp(v[0]))]
+
+
+def _nonlinearity(_term: Nonlinearity, v: Floats, fit: Fit, _: float) -> Made:
+    level_V = float(fit.theta[5] * fit.data.unit_V + fit.data.origin_V)
+    return [], [model.Nonlinearity(coefficient_per_V=float(v[0] / fit.data.unit_V), centre_V=level_V)]
+
+
+def _pattern(_term: ReadingPattern, v: Floats, fit: Fit, _: float) -> Made:
+    offsets = np.append(v, -v.sum()) * fit.data.unit_V
+    return [], [model.ReadingPattern(offsets_V=tuple(float(offset) for offset in offsets))]
+
+
+def _thermal(term: ThermalDrift, v: Floats, fit: Fit, _: float) -> Made:
+    sd, tau_s, mean = _witness_law(fit, term.witness)
+    return [
+        model.ThermalDrift(
+            coefficient_V_per_C=float(v[0] * fit.data.unit_V),
+            lag_s=exp(v[1]) if term.lag_s else 0.0,
+            sd_C=sd,
+            tau_s=tau_s,
+            mean_C=mean,
+        )
+    ], []
+
+
+def _supply(term: SupplyCoupling, v: Floats, fit: Fit, _: float) -> Made:
+    sd, tau_s, mean = _witness_law(fit, term.witness)
+    return [], [model.SupplyCoupling(coefficient_per_V=float(v[0]), sd_V=sd, tau_s=tau_s, mean_V=mean)]
+
+
+def _witness_law(fit: Fit, name: str) -> tuple[float, float, float]:
+    """Return deviation, time constant and mean of a witness as a first-order process: by variance and mean change."""
+    values = fit.data.witnesses[name]
+    sd = float(np.std(values))
+    apart = max(values.size // 100, 1)
+    change = float(np.mean((values[apart:] - values[:-apart]) ** 2)) / (2 * sd**2)
+    tau_s = apart * fit.data.interval_s / max(-np.log(max(1 - change, 1e-3)), 1e-3)
+    return sd, float(tau_s), float(np.mean(values))
+
+
+_MAKERS: Mapping[type, Callable[[Any, Floats, Fit, float], Made]] = {
+    Sines: _sines,
+    ChangingNoise: _changing,
+    Step: _step,
+    WarmUp: _warm_up,
+    ExtraMarkov: _extra,
+    RandomWalk: _walk,
+    Flicker: _flicker,
+    Resonance: _resonance,
+    DifferenceNoise: _difference,
+    HeavyTails: _tails,
+    SignalDependentNoise: _signal_dependent,
+    Nonlinearity: _nonlinearity,
+    ReadingPattern: _pattern,
+    ThermalDrift: _thermal,
+    SupplyCoupling: _supply,
+}

@@ -1,0 +1,76 @@
+"""The extended model goes through its file, makes readings like those it was fitted to, and is then not criticised."""
+
+import numpy as np
+import pytest
+
+from aemd.diagnose import criticise, diagnose, format_diagnosis, model_of, write_extended
+from aemd.model import Resonance, Sine
+from aemd.simulate import read_model, simulate
+from tests.diagnose.plant import INTERVAL_S, clean, series, times
+
+
+def test_the_extended_model_is_a_file_that_simulate_takes_and_it_shows_the_same_line(tmp_path):
+    y = clean(1) + 0.4e-3 * np.sin(2 * np.pi * 3.3 * times())
+    diagnosis = criticise(series(y, aperture_s=0.02))
+    write_extended(diagnosis, tmp_path / "m.toml")
+    simulate(
+        tmp_path / "m.toml",
+        seconds=270,
+        seed=5,
+        out=tmp_path / "a.mcap",
+        interval_s=INTERVAL_S,
+        aperture_s=0.02,
+    )
+    (again,) = diagnose(tmp_path / "a.mcap").findings
+
+    assert read_model(tmp_path / "m.toml") == model_of(diagnosis)
+    assert again.cause == "periodic_interference"
+    assert again.parameters["frequency_hz"].value == pytest.approx(3.3, abs=0.002)
+    assert again.parameters["amplitude_V"].value == pytest.approx(0.4e-3, rel=0.2)
+
+
+def test_a_line_keeps_its_phase_on_the_way_through_the_model():
+    """The model's own mean over apertures that begin half of one before the readings is the planted sine."""
+    y = clean(2) + 1e-3 * np.cos(2 * np.pi * 3.3 * times() + 0.4)
+    made = model_of(criticise(series(y, aperture_s=0.02)))
+    (sine,) = [term for term in made.terms if isinstance(term, Sine)]
+    start_s = times()[:100]
+
+    np.testing.assert_allclose(
+        sine.average(start_s, 0.02), 1e-3 * np.cos(2 * np.pi * 3.3 * start_s + 0.4), atol=0.15e-3
+    )
+
+
+def test_mains_that_the_aperture_would_remove_are_carried_as_their_alias():
+    y = clean(3) + 0.5e-3 * np.cos(2 * np.pi * 50.0 * times() + 0.4)
+    made = model_of(criticise(series(y, aperture_s=0.02)))
+    (sine,) = [term for term in made.terms if isinstance(term, Sine)]
+
+    assert sine.frequency_hz == pytest.approx(50.0 - 3 * 14.9, abs=0.002)
+    np.testing.assert_allclose(
+        sine.average(times()[:100], 0.02), 0.5e-3 * np.cos(2 * np.pi * 50.0 * times()[:100] + 0.4), atol=0.1e-3
+    )
+
+
+def test_the_base_alone_is_the_base_model():
+    diagnosis = criticise(series(clean(4)))
+
+    assert model_of(diagnosis) == model_of(diagnosis, extended=False)
+    assert not [term for term in model_of(diagnosis).terms if isinstance(term, Sine | Resonance)]
+
+
+def test_the_report_gives_the_verdict_first_and_two_lines_a_finding():
+    y = clean(5) + 0.4e-3 * np.sin(2 * np.pi * 50.0 * times())
+    lines = format_diagnosis(criticise(series(y))).splitlines()
+
+    assert lines[0].startswith("1 finding")
+    assert lines[2].startswith("Consistent with mains alias")
+    assert lines[3].startswith("  Next: ")
+    assert "caused" not in " ".join(lines)
+
+
+def test_the_report_of_a_clean_record_claims_no_more_than_was_looked_for():
+    text = format_diagnosis(criticise(series(clean(6))))
+
+    assert text.startswith("Nothing found")
+    assert "Not looked for: " in text
