@@ -88,9 +88,27 @@ def size_for(d_target: float, run: Run, effect: Effect, low: float, high: float)
     def excess(log_size: float) -> float:
         return log(max(d_nats(run, replace(effect, size=exp(log_size))), 1e-9)) - log(d_target)
 
+    at, slope = first_guess(d_target, run, effect, low, high), 2.0
+    beyond = excess(at)
+    for _ in range(8):  # secant steps, for a curve that is nearly straight in logarithms
+        if abs(beyond) < 0.03:
+            return replace(effect, size=exp(at)) if low <= exp(at) <= high else None
+        last, was = at, beyond
+        at = last - min(max(beyond / slope, -3.0), 3.0)
+        if not log(low) - 1 < at < log(high) + 1:
+            break
+        beyond = excess(at)
+        slope = min(max((beyond - was) / (at - last), 0.5), 8.0)
     if excess(log(high)) < 0 or excess(log(low)) > 0:
         return None
     return replace(effect, size=exp(brentq(excess, log(low), log(high), xtol=0.01)))
+
+
+def first_guess(d_target: float, run: Run, effect: Effect, low: float, high: float) -> float:
+    """Return the logarithm of a size to begin with: of the mean, what would do if nothing were refitted."""
+    if KINDS[effect.cause] != "mean":
+        return (log(low) + log(high)) / 2
+    return log(2 * d_target / energy(numbers(run.plant), run.plant, unit_template(run, effect))) / 2
 
 
 def clairvoyant_d95(cause: str, n: int, level: float = LEVEL) -> float:
