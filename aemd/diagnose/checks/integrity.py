@@ -115,9 +115,16 @@ def find_lattice(values: Floats) -> float:
     return short if abs(short - q) * float(multiples.sum()) < 0.1 * q else q
 
 
-def _tie_probability(q_V: float, innovation_sd_V: float) -> float:
-    """Return the most that the past leaves to any one value."""
-    return erf(q_V / sqrt(8) / innovation_sd_V) if q_V > 0 else 1e-9
+def _tie_probability(values: Floats, q_V: float, innovation_sd_V: float) -> float:
+    """Return the most that the past leaves to any one value.
+
+    Where the values are too many for `find_lattice` to be sure of one, there may still be one, and some values come
+    twice by chance: no step of it is larger than the least distance between two values.
+    """
+    if q_V == 0:
+        distinct = np.unique(values[np.isfinite(values)])
+        q_V = float(np.diff(distinct).min()) if distinct.size > 1 else 0.0
+    return max(erf(q_V / sqrt(8) / innovation_sd_V), 1e-9)
 
 
 def _runs(values: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -138,7 +145,8 @@ def dead_band(series: Series, q_V: float, innovation_sd_V: float) -> Defect | No
     if not 0 < at < distinct.size - 1:
         return None
     visits = int(np.count_nonzero(np.diff(np.concatenate(([0], values == distinct[at]))) > 0))
-    p_value = min(1.0, values.size * float(binom.sf(visits - 1, values.size, _tie_probability(q_V, innovation_sd_V))))
+    tie = _tie_probability(values, q_V, innovation_sd_V)
+    p_value = min(1.0, values.size * float(binom.sf(visits - 1, values.size, tie)))
     low, high = float(distinct[at - 1]), float(distinct[at + 1])
     if p_value > _SURE or visits < 3 or high - low < max(3 * q_V, 0.02 * innovation_sd_V):
         return None
@@ -162,7 +170,7 @@ def dead_band(series: Series, q_V: float, innovation_sd_V: float) -> Defect | No
 def stuck_readings(series: Series, q_V: float, innovation_sd_V: float) -> Defect | None:
     """Find runs of equal values too long for noise: P(any of n runs reaches m) <= n p_tie^(m - 1)."""
     values = series.value_V
-    tie = _tie_probability(q_V, innovation_sd_V)
+    tie = _tie_probability(values, q_V, innovation_sd_V)
     if tie > 0.9:  # the input hardly leaves its cell: nothing can be said
         return None
     begins, lengths = _runs(values)
