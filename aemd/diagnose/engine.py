@@ -16,15 +16,16 @@ from aemd.diagnose.catalogue import COVERED, EXPERIMENTS, NOT_COVERED
 from aemd.diagnose.checks.integrity import check_raw
 from aemd.diagnose.checks.residuals import check_all
 from aemd.diagnose.evidence import Defect, Evidence
-from aemd.diagnose.fit import Fit, fit_base, refit, restart_base
+from aemd.diagnose.fit import Fit, fit_base, refit, residuals, restart_base
 from aemd.diagnose.gain import SLOW, HeldOut, block_of, measure_gain
-from aemd.diagnose.hypothesis import make_data
+from aemd.diagnose.given import Given, accept
+from aemd.diagnose.hypothesis import Data, make_data
 from aemd.diagnose.intervals import covariance, describe
 from aemd.diagnose.naming import Named, name
 from aemd.diagnose.result import Diagnosis, Discrepancy, Finding, Gain, Verdict
 from aemd.diagnose.series import Series, load_series
 from aemd.diagnose.translate import as_tables, to_model
-from aemd.errors import ConfigError
+from aemd.simulate import read_model
 
 __all__ = ["criticise", "diagnose"]
 
@@ -57,17 +58,22 @@ def diagnose(
         RecordingError: the file cannot be read or judged.
         ConfigError: the model cannot be.
     """
-    if model is not None:
-        raise ConfigError(f"{model}: a given model cannot be criticised yet; leave --model out, and the base is fitted")
-    return criticise(load_series(path), line_frequency_hz=line_frequency_hz, progress=progress)
+    stated = None if model is None else accept(read_model(model), str(model))
+    return criticise(load_series(path), stated=stated, line_frequency_hz=line_frequency_hz, progress=progress)
 
 
-def criticise(series: Series, *, line_frequency_hz: float | None = None, progress: Progress | None = None) -> Diagnosis:
-    """Say what the base model gets wrong about a series; see `diagnose`."""
+def criticise(
+    series: Series,
+    *,
+    stated: tuple[Given, frozenset[str]] | None = None,
+    line_frequency_hz: float | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Say what the base model, or a stated one, gets wrong about a series; see `diagnose`."""
     begun = time.perf_counter()
     tell = progress or (lambda _: None)
     tell("fitting the base model")
-    base = fit_base(make_data(series))
+    base = _begin(make_data(series), series, stated)
     sd_V = float(np.sqrt(np.median(base.variance[base.data.used]))) * base.data.unit_V
     tell("checking the readings themselves")
     defects = check_raw(series, sd_V)
@@ -76,7 +82,7 @@ def criticise(series: Series, *, line_frequency_hz: float | None = None, progres
         if defect.dropped is not None:
             dropped |= defect.dropped
     if (dropped & series.used).any():
-        base = fit_base(make_data(series, dropped))
+        base = _begin(make_data(series, dropped), series, stated)
 
     fit, named, seen, left = base, list[tuple[Evidence, Named]](), list[Evidence](), list[Evidence]()
     for number in range(_ROUNDS):
@@ -95,7 +101,8 @@ def criticise(series: Series, *, line_frequency_hz: float | None = None, progres
         fit = restart_base(found.fit)
     fit, named = _pruned(fit, named)
     tell("measuring gains on held-out blocks")
-    findings = [_from_defect(defect, base) for defect in defects]
+    expected = stated[1] if stated else frozenset[str]()
+    findings = [_from_defect(defect, base) for defect in defects if defect.cause not in expected]
     explained = _explained(fit, named)
     worse = [item for item in explained if item.gain.nats_total <= 0]
     findings += [item for item in explained if item.gain.nats_total > 0]
@@ -123,6 +130,13 @@ def criticise(series: Series, *, line_frequency_hz: float | None = None, progres
         covered=COVERED,
         not_covered=NOT_COVERED,
     )
+
+
+def _begin(data: Data, series: Series, stated: tuple[Given, frozenset[str]] | None) -> Fit:
+    """Return the hypothesis under criticism: the stated one as it is, else the base fitted."""
+    if stated is None:
+        return fit_base(data)
+    return residuals([replace(stated[0], aperture_s=series.aperture_s)], np.empty(0), data)
 
 
 def _tables(fit: Fit, aperture_s: float) -> dict[str, Any]:

@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 _IMPOSSIBLE = 1e9  # nats a reading that what cannot be computed costs
 _LONGEST_STEP = 1.5  # of any free number at once; most are logarithms
 _CONVERGED = 1e-2  # nats that are not worth another step
+_CONVERGED_PER_READING = 1e-6  # in a long record a hundredth of a nat is far below what can be told
 _DIFFERENCE = 1e-5  # of a free number, for the derivatives
 _SHOCK_GAIN = 6.0  # nats that three more numbers must bring; half of chi-square(3) at 0.7 %
 _FEW_SHOCKS = 8.0  # expected in a record, below which they may be something else
@@ -46,6 +47,10 @@ class Fit:
     each: Floats
     gains: Floats
     states: Floats
+    mean: Floats
+    """Deterministic part."""
+    white: float
+    """Typical standard deviation of the white noise."""
 
     def parts_of(self, number: int) -> Floats:
         """Return the free numbers of one term."""
@@ -95,10 +100,12 @@ def climb(terms: Sequence[Term], start: Floats, data: Data, iterations: int = 40
     damped as Levenberg and Marquardt damp least squares; the scores are differences of the readings' log densities, so
     a step costs one pass of the filter per free number.
     """
-    low, high = np.array([bound for term in terms for bound in term.bounds], np.float64).T
+    low, high = np.array([bound for term in terms for bound in term.bounds], np.float64).reshape(-1, 2).T
     theta = np.clip(start, low, high)
     here = densities(terms, theta, data)
-    value, damping = float(here.sum()), 1e-3
+    value, damping, enough = float(here.sum()), 1e-3, max(_CONVERGED, _CONVERGED_PER_READING * data.n)
+    if not theta.size:
+        return theta, value
     for _ in range(iterations):
         scores = readings_scores(terms, theta, data, here, high)
         gradient, curvature = scores.sum(axis=0), scores.T @ scores
@@ -116,13 +123,13 @@ def climb(terms: Sequence[Term], start: Floats, data: Data, iterations: int = 40
             if float(there.sum()) > value:
                 break
             damping *= 10.0
-            if promised < _CONVERGED:
+            if promised < enough:
                 return theta, value
         else:
             return theta, value
         gained = float(there.sum()) - value
         theta, here, value, damping = trial, there, value + gained, max(damping / 10.0, 1e-7)
-        if gained < _CONVERGED and promised < 10 * _CONVERGED:
+        if gained < enough and promised < 10 * enough:
             break
     return theta, value
 
@@ -159,6 +166,8 @@ def residuals(terms: Sequence[Term], theta: Floats, data: Data) -> Fit:
         each=each,
         gains=gains,
         states=arguments[3],
+        mean=arguments[0],
+        white=float(np.sqrt(np.median(arguments[1]))),
     )
 
 
@@ -234,7 +243,9 @@ def restart_base(fit: Fit) -> Fit:
     An effect that nobody knew of leads the base astray; once it is a term, the base may be off its best by far.
     """
     data = fit.data
-    mean = assemble(fit.terms, fit.theta, data)[0] - fit.theta[5]
+    if not isinstance(fit.terms[0], Base):
+        return fit
+    mean = fit.mean - fit.theta[5]
     best, top = fit.theta, fit.log_likelihood
     for start in _spectral_starts(replace(data, y=data.y - mean))[:2]:
         theta = fit.theta.copy()

@@ -54,7 +54,7 @@ class HeldOut:
         for fold in (0, 1):
             test = self._block % 2 == fold
             train = data.only(~test)
-            found, _ = climb(terms, theta, train, iterations=15)
+            found, _ = climb(terms, theta, train, iterations=8)
             given_past = densities(terms, found, data)
             if forward:
                 scores += np.bincount(self._block, np.where(test, given_past, 0.0), scores.size)

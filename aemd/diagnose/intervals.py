@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 def covariance(fit: Fit) -> Floats:
     """Return the covariance of the free numbers: the inverse of the outer product of scores, shape (k, k)."""
-    low, high = np.array([bound for term in fit.terms for bound in term.bounds], np.float64).T
+    low, high = np.array([bound for term in fit.terms for bound in term.bounds], np.float64).reshape(-1, 2).T
     here = densities(fit.terms, fit.theta, fit.data)
     scores = readings_scores(fit.terms, fit.theta, fit.data, here, high)
     free = (fit.theta > low) & (fit.theta < high)  # what lies on a bound is not uncertain by this measure

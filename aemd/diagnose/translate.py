@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from aemd import model
 from aemd.diagnose.fit import Fit
+from aemd.diagnose.given import Given
 from aemd.diagnose.hypothesis import Base
 from aemd.diagnose.terms.lines import Sines
 from aemd.diagnose.terms.noise import (
@@ -48,6 +49,10 @@ def to_model(fit: Fit, aperture_s: float) -> tuple[model.Model, tuple[str, ...]]
     terms, effects, without = list[Any](), list[Any](), list[str]()
     for number, term in enumerate(fit.terms):
         theta = fit.parts_of(number)
+        if isinstance(term, Given):
+            terms += term.stated.terms
+            effects += term.stated.effects
+            continue
         if isinstance(term, Base):
             terms += _base(term, theta, fit, aperture_s)
             continue
@@ -114,7 +119,7 @@ def _sines(term: Sines, v: Floats, fit: Fit, aperture_s: float) -> Made:
 
 def _changing(term: ChangingNoise, v: Floats, fit: Fit, aperture_s: float) -> Made:
     """Return the noise that is added between the instants; where it is less there, what is added elsewhere."""
-    white_V, ratio = exp(fit.theta[4]) * fit.data.unit_V, exp(v[0])
+    white_V, ratio = fit.white * fit.data.unit_V, exp(v[0])
     density = white_V * sqrt(abs(ratio**2 - 1)) * sqrt(2 * aperture_s)
     inside, outside = (term.begin_s, term.end_s - term.begin_s), ((0.0, term.begin_s), (term.end_s, inf))
     spans = (inside,) if ratio >= 1 else outside
@@ -169,7 +174,7 @@ def _signal_dependent(_term: SignalDependentNoise, v: Floats, _fit: Fit, _: floa
 
 
 def _nonlinearity(_term: Nonlinearity, v: Floats, fit: Fit, _: float) -> Made:
-    level_V = float(fit.theta[5] * fit.data.unit_V + fit.data.origin_V)
+    level_V = float(fit.mean.mean() * fit.data.unit_V + fit.data.origin_V)
     return [], [model.Nonlinearity(coefficient_per_V=float(v[0] / fit.data.unit_V), centre_V=level_V)]
 
 

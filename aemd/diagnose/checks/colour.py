@@ -5,7 +5,7 @@ small addition with spectrum dS is dS/S of the base. Its score, the projection o
 shapes of the base's own parameters are taken out (C(alpha), Neyman 1959), is a weighted sum of exponentials.
 """
 
-from math import exp, log, pi, sqrt
+from math import log, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ class _Score:
         self.power = (np.abs(np.fft.rfft(even)) ** 2 / data.n)[1 : (even.size - 1) // 2 + 1]
         self.w = 2 * pi * np.arange(1, self.power.size + 1) / even.size
         self.step_s = data.interval_s
-        self.base = np.full(self.w.size, exp(2 * fit.theta[4]))
+        self.base = np.full(self.w.size, fit.white**2)
         shapes = [self.base.copy()]
         for kind, tau, omega, rate, _, _ in fit.states:
             if kind == MARKOV and rate > 0:
@@ -102,7 +102,7 @@ def check_colour(fit: Fit) -> list[Evidence]:
     found.append(_one_sided("noise that rises towards half the rate", value, p_value, (DifferenceNoise(sd, one),)))
 
     value, p_value = score.test(-sine * score.base)
-    white = exp(fit.theta[4])
+    white = fit.white
     ratio = float(np.clip(score.size_of(sine * score.base, value), 0.02, 0.9))
     found.append(
         _one_sided(

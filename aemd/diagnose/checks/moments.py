@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import exp, log, sqrt
+from math import log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +67,7 @@ def _changing_noise(fit: Fit) -> Outcome:
         t_s = np.append(fit.data.t_s[used], fit.data.span_s)
         cost = amplitude_cost(1, fit.data.n) + 2 * log(fit.data.n / max(end - begin, 1) + 1)
         # What is measured is all of the innovation; the white noise in it has to change by more.
-        share = float(np.median(fit.variance[used])) / exp(2 * fit.theta[4])
+        share = float(np.median(fit.variance[used])) / fit.white**2
         wanted = max(1 + (inside / outside - 1) * share, 0.05)
         return [ChangingNoise(float(t_s[begin]), float(t_s[end]), sqrt(wanted), cost)]
 
@@ -134,9 +134,9 @@ def _nonlinearity(fit: Fit) -> Outcome:
     variances. Slow parts of x^2 are the drift's business; whitening takes them out.
     """
     data, used = fit.data, fit.data.used
-    state = np.where(used, fit.predicted - fit.theta[5], 0.0)
+    state = np.where(used, fit.predicted - fit.mean, 0.0)
     shift = fit.whitened(state**2)
-    share = 1 - exp(2 * fit.theta[4]) / fit.variance
+    share = 1 - fit.white**2 / fit.variance
     louder = np.where(used, 4 * state * np.maximum(share, 0.0), 0.0)
     louder[used] -= louder[used].mean()
     squares = np.where(used, fit.z**2 - 1, 0.0)
