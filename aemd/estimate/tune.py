@@ -32,7 +32,7 @@ _LEAST_READINGS = 100  # fewer do not tell eight parameters apart
 _EXPLORED = 4  # pieces of a long stretch on which the kinds are compared
 _PIECE = 2_500  # readings of each; the best kind is then fitted to the whole stretch
 _ABSENT = 1e-2  # standard deviation of a part that is not there, in units of the noise: nothing, but not singular
-_LEAST_RATE = 4.0  # of a swing, in noises over the length of the stretch: see _Likelihood._options
+_LEAST_RATE = 3.2  # of a swing, in noises over the length of the stretch: see _Likelihood._options
 _DRASTIC = 5.0  # least standard deviation of the abrupt disturbance in units of the noise: less is not told from noise
 
 
@@ -249,9 +249,10 @@ class _Likelihood:
         A Markov process is sought by its rate (rms step, well determined by the readings) and its time; a swing by its
         standard deviation and its rate, since its time may be endless. That rate is kept from 0, because N readings of
         noise sigma tell the frequency of a swing of amplitude A only to sqrt(24) sigma / (A N^1.5) radians per reading
-        (Cramer and Rao): a filter of rate r remembers sqrt(2) sigma / r readings, over which the wrong frequency grows
-        to an error, and expects a variance of sqrt(2) sigma r, half of it as room for such errors. They fill it at
-        r^3 = 2^(11/2) 3/2 (sigma / N)^3, which is r = 4 sigma / N; a lower rate would claim more than is known.
+        (Cramer and Rao). A filter of rate r remembers sqrt(2) sigma / r readings, over which the frequency's error grows
+        to one of variance b^2 = 48 sigma^4 / (N^3 r^2) in phase and none in amplitude. It expects a variance of
+        P = sqrt(2) sigma r in either, half of it from the noise and half as room for such errors. On the mean of both
+        directions the room is filled at b^2 = P, which is r = 3.2 sigma / N; a lower rate would claim too much.
         """
         number = iter(np.exp(theta).tolist())
         noise, disturbed, quiet, lasting, memory = (next(number) for _ in range(5))
