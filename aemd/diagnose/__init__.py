@@ -3,6 +3,7 @@
 from aemd.diagnose.catalogue import COVERED, NOT_COVERED
 from aemd.diagnose.engine import criticise, diagnose
 from aemd.diagnose.extend import model_of, write_extended
+from aemd.diagnose.html import write_html
 from aemd.diagnose.report import format_diagnosis
 from aemd.diagnose.result import Diagnosis, Discrepancy, Finding, Gain, Value
 
@@ -19,4 +20,5 @@ __all__ = [
     "format_diagnosis",
     "model_of",
     "write_extended",
+    "write_html",
 ]

@@ -4,7 +4,7 @@ from math import isfinite, log10
 
 from aemd.diagnose.result import Diagnosis, Finding, Value
 
-__all__ = ["format_diagnosis"]
+__all__ = ["format_diagnosis", "format_finding"]
 
 _PREFIXES = {0: "", -3: "m", -6: "µ", -9: "n", -12: "p", 3: "k", 6: "M"}
 
@@ -18,6 +18,11 @@ def format_diagnosis(diagnosis: Diagnosis) -> str:
         lines.append(f"Not looked for: {', '.join(diagnosis.not_covered)}.")
     lines.append(f"{diagnosis.n:,} readings at {diagnosis.rate_hz:.4g} /s, judged in {diagnosis.seconds:.1f} s.")
     return "\n".join(lines) + "\n"
+
+
+def format_finding(finding: Finding) -> str:
+    """Return the two lines of one finding."""
+    return "\n".join(_finding(finding))
 
 
 def _verdict(diagnosis: Diagnosis) -> str:

@@ -31,7 +31,7 @@ sd_V = 8e-3
 decay_s = 0.3
 """
 REMOVED = {
-    "mains_alias": '[[terms]]\nterm = "sine"\nrole = "external"\namplitude_V = 1.2e-3\nfrequency_hz = 60.0\n',
+    "mains_alias": '[[terms]]\nterm = "sine"\nrole = "external"\namplitude_V = 4e-3\nfrequency_hz = 60.0\n',
     "periodic_interference": '[[terms]]\nterm = "sine"\nrole = "external"\namplitude_V = 2e-4\nfrequency_hz = 4.1\n',
     "resonance": '[[terms]]\nterm = "resonance"\nfrequency_hz = 4.0\nquality = 20.0\nsd_V = 2.5e-4\n',
     "step": '[[terms]]\nterm = "step"\ntime_s = 150.0\nstep_V = 5e-3\n',

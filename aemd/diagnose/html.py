@@ -1,0 +1,204 @@
+"""The report as one self-contained page: the verdict, and for each finding the picture that should convince.
+
+Every picture shows the same figure of the data and of simulations: bands hold 95 % of records simulated from the base
+and from the extended model. Where the data leave the base's band and stay in the extended one's, the term is needed and
+enough.
+"""
+
+from base64 import b64encode
+from collections.abc import Callable
+from dataclasses import replace
+from html import escape
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from aemd import __version__
+from aemd.diagnose.extend import model_of
+from aemd.diagnose.report import format_diagnosis, format_finding
+from aemd.diagnose.result import Diagnosis, Finding
+from aemd.diagnose.series import Series, load_series
+from aemd.errors import RecordingError
+from aemd.model import Model
+
+__all__ = ["write_html"]
+
+Floats = NDArray[np.float64]
+Curve = Callable[[Floats, float], tuple[Floats, Floats]]
+"""From readings, V, and their interval, s, to the two axes of a figure."""
+
+_SIMULATIONS = 40
+_LONGEST = 20_000
+"""Readings of each simulation; of a longer record the first so many are shown, so that the page is there in seconds."""
+_COLOURS = {"data": "#1f2933", "base": "#c05621", "extended": "#2b6cb0"}
+_PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>aemd diagnose: {title}</title>
+<style>
+body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #1f2933; }}
+h1 {{ font-size: 1.4rem; }} h2 {{ font-size: 1.1rem; margin-top: 2.5rem; }}
+img {{ width: 100%; }} pre {{ white-space: pre-wrap; background: #f5f7fa; padding: 1rem; }}
+.key span {{ padding: 0 .6rem; border-left: .8rem solid; margin-right: 1rem; }}
+</style></head><body>
+<h1>{title}</h1>
+<p><strong>{verdict}</strong></p>
+{body}
+<h2>The whole report</h2>
+<pre>{text}</pre>
+<p><small>aemd {version}; bands hold 95 % of {count} simulated records.</small></p>
+</body></html>
+"""
+
+
+def write_html(diagnosis: Diagnosis, path: Path) -> None:
+    """Write the page.
+
+    Raises:
+        RecordingError: the file that was diagnosed cannot be read again, or the page cannot be written.
+    """
+    series = _beginning(load_series(Path(diagnosis.path)))
+    bands = {name: _simulate(model_of(diagnosis, extended=name == "extended"), series) for name in ("base", "extended")}
+    text = format_diagnosis(diagnosis)
+    parts = [_section("Readings, spectrum and Allan deviation", "", _overview(series, bands))]
+    parts += [
+        _section(
+            f"{number}. {finding.cause.replace('_', ' ')}", format_finding(finding), _picture(finding, series, bands)
+        )
+        for number, finding in enumerate(diagnosis.findings, start=1)
+    ]
+    page = _PAGE.format(
+        title=escape(Path(diagnosis.path).name),
+        verdict=escape(text.splitlines()[0]),
+        body="\n".join(parts),
+        text=escape(text),
+        version=__version__,
+        count=_SIMULATIONS,
+    )
+    try:
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {(error.strerror or str(error)).lower()}") from error
+
+
+def _beginning(series: Series) -> Series:
+    n = min(series.value_V.size, _LONGEST)
+    return replace(
+        series,
+        time_s=series.time_s[:n],
+        value_V=series.value_V[:n],
+        index=series.index[:n],
+        status=series.status[:n],
+        witnesses={name: values[:n] for name, values in series.witnesses.items()},
+    )
+
+
+def _simulate(model: Model, series: Series) -> Floats:
+    """Return simulated records at the data's instants, V, shape (simulations, n)."""
+    n, step_s = series.value_V.size, series.interval_s
+    start_s = np.arange(n, dtype=np.float64) * step_s
+    made = np.empty((_SIMULATIONS, n))
+    for number in range(_SIMULATIONS):
+        values = replace(model, seed=number + 1).realise().read(start_s, min(series.aperture_s, step_s)).value_V
+        made[number] = values[:n] if values.size >= n else np.resize(values, n)
+    return made
+
+
+def _section(title: str, text: str, figure: Figure) -> str:
+    stream = BytesIO()
+    figure.savefig(stream, format="svg", bbox_inches="tight")
+    picture = b64encode(stream.getvalue()).decode()
+    key = "".join(f'<span style="border-color: {colour}">{name}</span>' for name, colour in _COLOURS.items())
+    return (
+        f"<h2>{escape(title)}</h2><p>{escape(text)}</p>"
+        f'<img alt="{escape(title)}" src="data:image/svg+xml;base64,{picture}"><p class="key">{key}</p>'
+    )
+
+
+def _overview(series: Series, bands: dict[str, Floats]) -> Figure:
+    figure = Figure(figsize=(10, 8), layout="constrained")
+    top, middle, bottom = figure.subplots(3, 1)
+    top.plot(series.time_s, series.value_V * 1e3, lw=0.5, color=_COLOURS["data"], rasterized=True)
+    top.set(xlabel="time, s", ylabel="reading, mV")
+    _draw(middle, _spectrum, series, bands)
+    middle.set(xscale="log", yscale="log", xlabel="frequency, Hz", ylabel="density, V²/Hz")
+    _draw(bottom, _allan, series, bands)
+    bottom.set(xscale="log", yscale="log", xlabel="averaging time, s", ylabel="Allan deviation, V")
+    return figure
+
+
+def _picture(finding: Finding, series: Series, bands: dict[str, Floats]) -> Figure:
+    """Return the figure that shows this kind of finding best."""
+    figure = Figure(figsize=(10, 3.5), layout="constrained")
+    axes = figure.subplots()
+    values = finding.parameters
+    shown = values.get("alias_hz") or values.get("frequency_hz")
+    if shown is not None:
+        _draw(axes, lambda y, step_s: _fine_spectrum(y, step_s, shown.value), series, bands)
+        axes.set(yscale="log", xlabel="frequency, Hz", ylabel="density, V²/Hz")
+    elif "time_s" in values:
+        at, width = values["time_s"].value, max(10 * series.interval_s, 20.0)
+        near = np.abs(series.time_s - at) < 3 * width
+        axes.plot(series.time_s[near], series.value_V[near] * 1e3, ".-", lw=0.5, ms=3, color=_COLOURS["data"])
+        axes.axvline(at, color=_COLOURS["extended"], lw=0.8)
+        axes.set(xlabel="time, s", ylabel="reading, mV")
+    elif finding.cause in ("heavy_tails", "quantisation", "saturation", "dead_band"):
+        _draw(axes, _tail, series, bands)
+        axes.set(yscale="log", xlabel="change from one reading to the next, in its typical size", ylabel="part beyond")
+    else:
+        _draw(axes, _allan, series, bands)
+        axes.set(xscale="log", yscale="log", xlabel="averaging time, s", ylabel="Allan deviation, V")
+    return figure
+
+
+def _draw(axes: Axes, figure_of: Curve, series: Series, bands: dict[str, Floats]) -> None:
+    for name, records in bands.items():
+        x, _ = figure_of(records[0], series.interval_s)
+        curves = np.array([figure_of(record, series.interval_s)[1] for record in records])
+        low, high = np.quantile(curves, [0.025, 0.975], axis=0)
+        axes.fill_between(x, low, high, color=_COLOURS[name], alpha=0.3, lw=0)
+    used = series.used
+    filled = np.interp(series.time_s, series.time_s[used], series.value_V[used])
+    x, y = figure_of(filled, series.interval_s)
+    axes.plot(x, y, color=_COLOURS["data"], lw=1.2)
+
+
+def _density(y: Floats, step_s: float) -> tuple[Floats, Floats]:
+    taper = np.sin(np.pi * (np.arange(y.size) + 0.5) / y.size) ** 2
+    power = np.abs(np.fft.rfft((y - y.mean()) * taper)) ** 2 * 2 * step_s / np.sum(taper**2)
+    return np.asarray(np.fft.rfftfreq(y.size, step_s)[1:]), np.asarray(power[1:])
+
+
+def _spectrum(y: Floats, step_s: float) -> tuple[Floats, Floats]:
+    f, power = _density(y, step_s)
+    edges = np.unique(np.geomspace(1, f.size + 1, 90).astype(int)) - 1
+    counts = np.diff(edges)
+    return np.add.reduceat(f, edges[:-1]) / counts, np.add.reduceat(power, edges[:-1]) / counts
+
+
+def _fine_spectrum(y: Floats, step_s: float, centre_hz: float) -> tuple[Floats, Floats]:
+    f, power = _density(y, step_s)
+    at = int(np.argmin(np.abs(f - centre_hz)))
+    near = slice(max(at - 60, 0), at + 60)
+    return f[near], power[near]
+
+
+def _allan(y: Floats, step_s: float) -> tuple[Floats, Floats]:
+    """Return averaging times and the overlapping Allan deviation."""
+    total = np.concatenate(([0.0], np.cumsum(y - y.mean())))
+    counts = np.unique(np.geomspace(1, max(y.size // 5, 2), 30).astype(int))
+    deviations = []
+    for m in counts:
+        means = (total[m:] - total[:-m]) / m
+        deviations.append(np.sqrt(0.5 * np.mean((means[m:] - means[:-m]) ** 2)))
+    return counts * step_s, np.array(deviations)
+
+
+def _tail(y: Floats, step_s: float) -> tuple[Floats, Floats]:  # noqa: ARG001 - one of several figures
+    change = np.abs(np.diff(y))
+    x = np.linspace(0, 12, 200)
+    typical = max(float(np.median(change)) * 1.4826, 1e-300)
+    beyond = 1 - np.searchsorted(np.sort(change / typical), x) / change.size
+    return x, np.maximum(beyond, 0.5 / change.size)
