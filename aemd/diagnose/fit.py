@@ -13,8 +13,9 @@ from scipy.special import ndtri
 
 from aemd.diagnose.hypothesis import Base, Data, Parts, Term, base_box, base_start_with_shocks
 from aemd.diagnose.kernels import log_densities, predict, whiten
+from aemd.diagnose.terms.noise import Smoothing
 
-__all__ = ["Fit", "fit_base", "refit", "residuals", "restart_base", "score_log_likelihood"]
+__all__ = ["Fit", "begin_with", "fit_base", "refit", "residuals", "restart_base", "score_log_likelihood"]
 
 Floats = NDArray[np.float64]
 
@@ -49,6 +50,8 @@ class Fit:
     states: Floats
     mean: Floats
     """Deterministic part."""
+    innovation: Floats
+    """Reading less prediction."""
     white: float
     """Typical standard deviation of the white noise."""
 
@@ -72,7 +75,7 @@ class Fit:
     def innovation_rms(self) -> float:
         """Root mean square of reading minus prediction, V."""
         used = self.data.used
-        return float(np.sqrt(np.mean((self.data.y - self.predicted)[used] ** 2)) * self.data.unit_V)
+        return float(np.sqrt(np.mean(self.innovation[used] ** 2)) * self.data.unit_V)
 
 
 def split(terms: Sequence[Term], theta: Floats) -> list[Floats]:
@@ -80,12 +83,27 @@ def split(terms: Sequence[Term], theta: Floats) -> list[Floats]:
     return np.split(theta, np.cumsum([term.start.size for term in terms])[:-1])
 
 
-def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[Any, ...]:
-    """Return the filter's arguments after the data."""
+def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[float, tuple[Any, ...]]:
+    """Return the share that a smoothing keeps, and the filter's arguments after the data."""
     parts = Parts(np.zeros(data.y.size), np.zeros(data.y.size), np.ones(data.y.size))
     for term, numbers in zip(terms, split(terms, theta), strict=True):
         term.add(numbers, data, parts)
-    return parts.mean, parts.noise_var, parts.scale, np.array(parts.states, np.float64), parts.shocks, parts.extras
+    states = np.array(parts.states, np.float64)
+    return parts.kept, (parts.mean, parts.noise_var, parts.scale, states, parts.shocks, parts.extras)
+
+
+def sharpened(data: Data, kept: float) -> tuple[Floats, Floats | float]:
+    """Return the readings before a smoothing, and the logarithm of the density's factor for each, shape (n,).
+
+    After a gap the smoothed reading stands for itself.
+    """
+    if kept == 0.0:
+        return data.y, 0.0
+    direct = data.used.copy()
+    direct[0] = False
+    direct[1:] &= data.used[:-1] & (np.diff(data.slot) == 1)
+    before = np.concatenate(([0.0], data.y[:-1]))
+    return np.where(direct, (data.y - kept * before) / (1 - kept), data.y), np.where(direct, -np.log1p(-kept), 0.0)
 
 
 def score_log_likelihood(terms: Sequence[Term], theta: Floats, data: Data) -> float:
@@ -136,7 +154,9 @@ def climb(terms: Sequence[Term], start: Floats, data: Data, iterations: int = 40
 
 def densities(terms: Sequence[Term], theta: Floats, data: Data) -> Floats:
     """Return the log density of each scaled reading, shape (n,)."""
-    each = log_densities(data.y, data.used, data.step_s, *assemble(terms, theta, data))
+    kept, arguments = assemble(terms, theta, data)
+    y, factor = sharpened(data, kept)
+    each = log_densities(y, data.used, data.step_s, *arguments) + factor
     return each if np.isfinite(each).all() else np.full(each.size, -_IMPOSSIBLE)
 
 
@@ -153,8 +173,10 @@ def readings_scores(terms: Sequence[Term], theta: Floats, data: Data, here: Floa
 
 def residuals(terms: Sequence[Term], theta: Floats, data: Data) -> Fit:
     """Return the fit with these free numbers and what it leaves."""
-    arguments = assemble(terms, theta, data)
-    each, z, predicted, variance, gains = predict(data.y, data.used, data.step_s, *arguments)
+    kept, arguments = assemble(terms, theta, data)
+    y, factor = sharpened(data, kept)
+    each, z, predicted, variance, gains = predict(y, data.used, data.step_s, *arguments)
+    each = each + factor
     return Fit(
         data=data,
         terms=tuple(terms),
@@ -167,6 +189,7 @@ def residuals(terms: Sequence[Term], theta: Floats, data: Data) -> Fit:
         gains=gains,
         states=arguments[3],
         mean=arguments[0],
+        innovation=(y - predicted) * (1 - kept),
         white=float(np.sqrt(np.median(arguments[1]))),
     )
 
@@ -254,6 +277,15 @@ def restart_base(fit: Fit) -> Fit:
         if value > top + _CONVERGED:
             best, top = found, value
     return fit if best is fit.theta else residuals(fit.terms, best, data)
+
+
+def begin_with(fit: Fit, term: Term) -> Floats:
+    """Return free numbers to begin a fit with one more term."""
+    theta = np.concatenate((fit.theta, term.start))
+    if isinstance(term, Smoothing) and isinstance(fit.terms[0], Base):  # what was smoothed has another spectrum
+        y, _ = sharpened(fit.data, term.kept)
+        theta[:5] = _spectral_starts(replace(fit.data, y=y))[0][:5]
+    return theta
 
 
 def _spectral_starts(data: Data) -> list[Floats]:

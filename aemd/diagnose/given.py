@@ -43,6 +43,7 @@ _FOLLOWED = (
     model.FlickerNoise,
     model.ThermalDrift,
     model.DifferenceNoise,
+    model.Smoothing,
     model.HeavyTails,
     model.SignalDependentNoise,
     model.Nonlinearity,
@@ -138,6 +139,8 @@ class Given:
             case model.DifferenceNoise(sd_V=sd):
                 parts.states.append((WHITE, 1.0, 0.0, sd / unit, sd / unit, 1.0))
                 parts.states.append((PREVIOUS, 1.0, 0.0, 0.0, sd / unit, -1.0))
+            case model.Smoothing(kept=kept):
+                parts.kept = kept
             case model.Quantiser(step_V=step):
                 parts.noise_var += (step / unit) ** 2 / 12
             case model.HeavyTails(sd_V=sd, dof=dof):

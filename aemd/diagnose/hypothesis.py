@@ -96,6 +96,8 @@ class Parts:
     states: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
     shocks: Floats = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
     extras: Floats = field(default_factory=lambda: np.zeros(5))
+    kept: float = 0.0
+    """Share of the last reading in the next one, by a smoothing after all else."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp
 
-import numpy as np
-
-from aemd.diagnose.fit import Fit, climb, refit
+from aemd.diagnose.fit import Fit, begin_with, climb, refit
 from aemd.diagnose.hypothesis import Term
 
 __all__ = ["Named", "name"]
@@ -49,7 +47,7 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
         return None
     sketches = []
     for term in candidates:
-        theta, value = climb([*fit.terms, term], np.concatenate((fit.theta, term.start)), fit.data, _SKETCH)
+        theta, value = climb([*fit.terms, term], begin_with(fit, term), fit.data, _SKETCH)
         sketches.append((value - term.cost_nats, theta, term))
     near = max(worth for worth, _, _ in sketches) - _HOPELESS
     fitted: dict[str, tuple[float, Fit, Term]] = {}

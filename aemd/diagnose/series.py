@@ -29,6 +29,10 @@ _ON_GRID = 0.2
 """Intervals from a whole multiple that a step may be stamped off, and still be that multiple."""
 
 
+_ABOUT = 3
+"""Steps about a late stamp that tell whether it was only late."""
+
+
 @dataclass(frozen=True, slots=True)
 class Series:
     """Readings in the order of time; shapes (n,)."""
@@ -58,21 +62,40 @@ class Series:
         return np.isfinite(self.value_V)
 
     @property
-    def slot(self) -> NDArray[np.int64]:
-        """Place of each reading on the grid of whole intervals, from 0."""
-        return np.concatenate(([0], np.cumsum(np.maximum(np.rint(self.step_s[1:] / self.interval_s), 1)))).astype(
-            np.int64
-        )
-
-    @property
     def step_s(self) -> Floats:
         """Time since the reading before, s, on the grid where it is near it; the first is one interval."""
         steps = np.diff(self.time_s) / self.interval_s
-        whole = np.maximum(np.rint(steps), 1.0)
-        near = np.abs(steps - whole) <= _ON_GRID
-        if self.numbered:
-            whole, near = np.diff(self.index).astype(np.float64), np.ones_like(near)
+        whole = self.whole_steps[1:].astype(np.float64)
+        near = np.full(steps.size, fill_value=True) if self.numbered else np.abs(steps - whole) <= _ON_GRID
         return np.concatenate(([1.0], np.where(near, whole, steps))) * self.interval_s
+
+    @property
+    def whole_steps(self) -> NDArray[np.int64]:
+        """Intervals since the reading before, at least 1, and for the first 1.
+
+        As the numbers say, where there are any; more where the stamps jump for good by whole intervals.
+        """
+        steps = np.diff(self.time_s) / self.interval_s
+        if not self.numbered:
+            return np.concatenate(([1], np.maximum(np.rint(steps), 1))).astype(np.int64)
+        counted = np.maximum(np.diff(self.index), 1)
+        whole = counted.copy()
+        for at in np.flatnonzero(steps > counted + 1 - _ON_GRID):
+            # A stamp that came late is made up for by the next steps; readings that are missing are not.
+            low, high = max(at - _ABOUT, 0), min(at + _ABOUT + 1, steps.size)
+            extra = float(steps[low:high].sum() - counted[low:high].sum())
+            if (
+                extra > 0.5
+                and abs(steps[at] - np.rint(steps[at])) <= _ON_GRID
+                and steps[at] - counted[at] < extra + 0.5
+            ):
+                whole[at] = int(np.rint(steps[at]))
+        return np.concatenate(([1], whole)).astype(np.int64)
+
+    @property
+    def slot(self) -> NDArray[np.int64]:
+        """Place of each reading on the grid of whole intervals, from 0."""
+        return np.asarray(np.cumsum(self.whole_steps) - 1)
 
 
 def load_series(path: Path) -> Series:

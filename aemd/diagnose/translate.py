@@ -25,6 +25,7 @@ from aemd.diagnose.terms.noise import (
     RandomWalk,
     Resonance,
     SignalDependentNoise,
+    Smoothing,
 )
 from aemd.diagnose.terms.shapes import Nonlinearity, ReadingPattern, Step, SupplyCoupling, ThermalDrift, WarmUp
 
@@ -162,6 +163,10 @@ def _difference(_term: DifferenceNoise, v: Floats, fit: Fit, _: float) -> Made:
     return [], [model.DifferenceNoise(sd_V=exp(v[0]) * fit.data.unit_V)]
 
 
+def _smoothing(_term: Smoothing, v: Floats, _fit: Fit, _: float) -> Made:
+    return [], [model.Smoothing(kept=1 / (1 + exp(-v[0])))]
+
+
 def _tails(_term: HeavyTails, v: Floats, fit: Fit, _: float) -> Made:
     # Student's law with the mixture's variance and kurtosis, 3/p - 3.
     fraction = min(exp(v[0]), 0.99)
@@ -221,6 +226,7 @@ _MAKERS: Mapping[type, Callable[[Any, Floats, Fit, float], Made]] = {
     Flicker: _flicker,
     Resonance: _resonance,
     DifferenceNoise: _difference,
+    Smoothing: _smoothing,
     HeavyTails: _tails,
     SignalDependentNoise: _signal_dependent,
     Nonlinearity: _nonlinearity,

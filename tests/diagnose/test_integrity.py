@@ -117,3 +117,12 @@ def test_an_interval_off_by_a_thousandth_is_a_clock_error():
 
     assert defect.cause == "clock_error"
     assert defect.parameters["ratio"].value == pytest.approx(1.001, abs=1e-6)
+
+
+def test_losses_that_the_numbers_hide_are_seen_in_the_stamps_and_no_clock_is_blamed():
+    keep = np.random.default_rng(10).random(N) > 0.02
+    y, t = clean(10)[keep], times()[keep]
+    (defect,) = check_raw(series(y, time_s=t), SD_V)
+
+    assert defect.cause == "missing_samples"
+    assert defect.parameters["lost"].value == pytest.approx((~keep).sum(), abs=2)  # those at the ends nobody can see

@@ -102,16 +102,7 @@ def check_colour(fit: Fit) -> list[Evidence]:
     found.append(_one_sided("noise that rises towards half the rate", value, p_value, (DifferenceNoise(sd, one),)))
 
     value, p_value = score.test(-sine * score.base)
-    white = fit.white
-    ratio = float(np.clip(score.size_of(sine * score.base, value), 0.02, 0.9))
-    found.append(
-        _one_sided(
-            "noise that falls towards half the rate",
-            value,
-            p_value,
-            (Smoothing(max(white, 0.1), ratio, one + amplitude_cost(1, n)),),
-        )
-    )
+    found.append(_one_sided("noise that falls towards half the rate", value, p_value, smoothings(n)))
 
     processes = zip(*flicker_processes(0.3 / data.span_s, 0.5 / data.interval_s), strict=True)
     flicker = np.sum([v * 2 / tau * score.markov(tau) for tau, v in processes], axis=0)
@@ -153,6 +144,11 @@ def _one_sided(check: str, value: float, p_value: float, terms: tuple[object, ..
     )
 
 
+def smoothings(n: int) -> tuple[Smoothing, ...]:
+    """Return a smoothing that is weak, one that is middling, one that is strong."""
+    return tuple(Smoothing(kept, amplitude_cost(1, n)) for kept in (0.1, 0.4, 0.75))
+
+
 def check_resonance(fit: Fit) -> Evidence:
     """Look for a band, four frequencies wide or more, with too much power: sums of exponentials are gamma variables."""
     score, data = _Score(fit), fit.data
@@ -169,7 +165,7 @@ def check_resonance(fit: Fit) -> Evidence:
         width = int(np.ceil(width * 1.7))
     p_value, at, width, power = best
     corrected = bonferroni(p_value, trials)
-    terms: tuple[Resonance, ...] = ()
+    terms: tuple[Resonance | Smoothing, ...] = ()
     if corrected < 0.01:
         frequency = float(score.w[at] + score.w[min(at + width, count) - 1]) / 2 / (2 * pi * data.interval_s)
         band_hz = width / (count * 2 * data.interval_s)
@@ -179,6 +175,7 @@ def check_resonance(fit: Fit) -> Evidence:
         sd = sqrt(excess * pi * 2 * width / (2 * count))
         cost = amplitude_cost(1, data.n) + log(max(count / width, 1)) + log(5)
         terms = tuple(Resonance(frequency, start, longest, sd, cost) for start in (tau, min(3 * tau, longest)))
+        terms = (*terms, *smoothings(data.n))  # what smoothing bends, a band may fill up
     return Evidence(
         check="strongest band of the residuals' spectrum: power over its mean",
         p_value=corrected,

@@ -46,17 +46,19 @@ def check_raw(series: Series, innovation_sd_V: float) -> list[Defect]:
     """
     q_V = find_lattice(series.value_V[series.used])
     band = dead_band(series, q_V, innovation_sd_V)
-    # What rests in the band rests at its level, and is not stuck.
+    clipped = saturation(series, q_V, innovation_sd_V)
+    # What rests in the band rests at its level, and what is clipped at the range's end: neither is stuck.
     sound = series
-    if band is not None and band.dropped is not None:
-        sound = replace(series, value_V=np.where(band.dropped, np.nan, series.value_V))
+    for resting in (band, clipped):
+        if resting is not None and resting.dropped is not None:
+            sound = replace(sound, value_V=np.where(resting.dropped, np.nan, sound.value_V))
     found = [
         missing_samples(series),
         band,
         stuck_readings(sound, q_V, innovation_sd_V),
         replayed_block(series, q_V),
         quantisation(series, q_V, innovation_sd_V),
-        saturation(series, q_V, innovation_sd_V),
+        clipped,
         timestamp_jitter(series),
         clock_error(series),
     ]
@@ -70,12 +72,13 @@ def exact(value: float, unit: str) -> Value:
 
 def missing_samples(series: Series) -> Defect | None:
     """Find steps of more than one interval: counted by the index, or seen in the stamps."""
-    jumps = (np.diff(series.index) if series.numbered else np.diff(series.slot)) - 1
+    jumps = np.diff(series.slot) - 1
     lost, gaps = int(np.sum(jumps)), int(np.count_nonzero(jumps))
     invalid = int(np.count_nonzero(~series.used & ((series.status & OVERLOAD) == 0)))
     if lost + invalid == 0:
         return None
-    known = "the readings' numbers" if series.numbered else "the time stamps"
+    counted = series.numbered and lost <= int(series.index[-1] - series.index[0]) + 1 - series.index.size
+    known = "the readings' numbers" if counted else "the time stamps"
     return Defect(
         cause="missing_samples",
         p_value=0.0,
@@ -330,7 +333,7 @@ def saturation(series: Series, q_V: float, innovation_sd_V: float) -> Defect | N
 
 def timestamp_jitter(series: Series) -> Defect | None:
     """Find stamps that scatter about the grid by more than the digits they are written with."""
-    grid = series.slot if not series.numbered else series.index - series.index[0]
+    grid = series.slot
     slope, start = np.polyfit(grid, series.time_s, 1)
     left = series.time_s - (start + slope * grid)
     # Against a running mean, so that a clock that wanders is not taken for one that jitters.
@@ -360,7 +363,7 @@ def clock_error(series: Series) -> Defect | None:
     """Find an interval that is not the nominal one."""
     if series.nominal_interval_s <= 0:
         return None
-    grid = series.index - series.index[0]
+    grid = series.slot
     slope, _ = np.polyfit(grid, series.time_s, 1)
     left = series.time_s - np.polyval(np.polyfit(grid, series.time_s, 1), grid)
     error = float(np.std(left)) * sqrt(12) / (grid[-1] * sqrt(grid.size)) / series.nominal_interval_s

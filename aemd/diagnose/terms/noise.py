@@ -205,33 +205,35 @@ class DifferenceNoise:
 
 @dataclass(frozen=True, slots=True)
 class Smoothing:
-    """Noise that a short average spreads over two readings, w_k + a w_{k-1}; free numbers log sd, log a."""
+    """Readings filtered as y_k = kept y_{k-1} + (1 - kept) x_k; free number the logit of kept.
 
-    sd: float
-    ratio: float
+    The filter is undone before the likelihood is taken: x is as certain as y, and its density is (1 - kept) times y's.
+    """
+
+    kept: float
     cost_nats: float
     cause: str = "smoothing"
 
     @property
     def start(self) -> Floats:
         """Free numbers to begin with."""
-        return np.array([log(self.sd), log(self.ratio)])
+        return np.array([log(self.kept / (1 - self.kept))])
 
     @property
     def bounds(self) -> Sequence[Bounds]:
-        """The earlier reading weighs no more than the later."""
-        return [_WIDE, (log(1e-3), 0.0)]
+        """From 0.7 % to 99.3 %."""
+        return [(-5.0, 5.0)]
 
     def add(self, theta: Floats, data: Data, parts: Parts) -> None:  # noqa: ARG002 - a Term's
-        """Add w and the w before it."""
-        sd = exp(theta[0])
-        parts.states.append((WHITE, 1.0, 0.0, sd, sd, 1.0))
-        parts.states.append((PREVIOUS, 1.0, 0.0, 0.0, sd, exp(theta[1])))
+        """Say how much is kept."""
+        parts.kept = 1 / (1 + exp(-theta[0]))
 
     def parameters(self, data: Data) -> Sequence[Parameter]:
-        """Return the deviation of w, and the weight of the earlier reading over that of the later."""
-        unit = data.unit_V
-        return [Parameter("sd_V", "V", lambda v: exp(v[0]) * unit), Parameter("ratio", "", lambda v: exp(v[1]))]
+        """Return the share of the last reading, and the filter's time constant."""
+        return [
+            Parameter("fraction", "", lambda v: 1 / (1 + exp(-v[0]))),
+            Parameter("tau_s", "s", lambda v: data.interval_s / log(1 + exp(-v[0]))),
+        ]
 
 
 @dataclass(frozen=True, slots=True)
