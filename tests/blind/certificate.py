@@ -88,6 +88,8 @@ def size_for(d_target: float, run: Run, effect: Effect, low: float, high: float)
     def excess(log_size: float) -> float:
         return log(max(d_nats(run, replace(effect, size=exp(log_size))), 1e-9)) - log(d_target)
 
+    if KINDS[effect.cause] == "mean" and not unit_template(run, effect).any():
+        return None  # such as a ring-down without a shock
     at, slope = first_guess(d_target, run, effect, low, high), 2.0
     beyond = excess(at)
     for _ in range(8):  # secant steps, for a curve that is nearly straight in logarithms
