@@ -33,6 +33,7 @@ _EXPLORED = 4  # pieces of a long stretch on which the kinds are compared
 _PIECE = 2_500  # readings of each; the best kind is then fitted to the whole stretch
 _ABSENT = 1e-2  # standard deviation of a part that is not there, in units of the noise: nothing, but not singular
 _LEAST_RATE = 3.2  # of a swing, in noises over the length of the stretch: see _Likelihood._options
+_SHARP = 1000.0  # factor of the logarithm of a frequency: see _Likelihood
 _DRASTIC = 5.0  # least standard deviation of the abrupt disturbance in units of the noise: less is not told from noise
 
 
@@ -169,7 +170,8 @@ class _Likelihood:
     """Log-likelihood of some stretches for any kind and parameters, in the units of the search.
 
     The unit of voltage is the noise between neighbouring readings, the unit of time a reading, and parameters are
-    logarithms, so that the search sees numbers near 1 whatever was measured.
+    logarithms, so that the search sees numbers near 1 whatever was measured. The logarithm of a frequency is multiplied
+    by a thousand: the readings tell it that much more sharply than the rest, and the search goes astray in a ravine.
     """
 
     def __init__(
@@ -220,7 +222,7 @@ class _Likelihood:
                 found += [
                     (math.log(1e-2), math.log(10 * spread)),
                     (math.log(_LEAST_RATE / self.size), math.log(100.0)),
-                    (-math.log(self.slowest), math.log(0.5)),
+                    (-_SHARP * math.log(self.slowest), _SHARP * math.log(0.5)),
                 ]
         return found
 
@@ -249,12 +251,13 @@ class _Likelihood:
         A Markov process is sought by its rate (rms step, well determined by the readings) and its time; a swing by its
         standard deviation and its rate, since its time may be endless. That rate is kept from 0, because N readings of
         noise sigma tell the frequency of a swing of amplitude A only to sqrt(24) sigma / (A N^1.5) radians per reading
-        (Cramer and Rao). A filter of rate r remembers sqrt(2) sigma / r readings, over which the frequency's error grows
+        (Cramer and Rao). A filter of rate r remembers sqrt(2) sigma / r readings; over them the frequency's error grows
         to one of variance b^2 = 48 sigma^4 / (N^3 r^2) in phase and none in amplitude. It expects a variance of
         P = sqrt(2) sigma r in either, half of it from the noise and half as room for such errors. On the mean of both
         directions the room is filled at b^2 = P, which is r = 3.2 sigma / N; a lower rate would claim too much.
         """
-        number = iter(np.exp(theta).tolist())
+        logarithm = iter(theta.tolist())
+        number = map(math.exp, logarithm)
         noise, disturbed, quiet, lasting, memory = (next(number) for _ in range(5))
         slow_V, slow_tau = _ABSENT * noise, 10.0 * self.size
         if kind.slow:
@@ -266,7 +269,7 @@ class _Likelihood:
                 rate, tau = next(number), next(number)
                 parts.append((rate * math.sqrt(tau / 2), tau, 0.0))
             else:
-                sd, rate, frequency = next(number), noise * next(number), next(number)
+                sd, rate, frequency = next(number), noise * next(number), math.exp(next(logarithm) / _SHARP)
                 parts.append((sd, max(2 * (sd / rate) ** 2, 1.0), frequency))
         signal_V, signal_tau, signal_hz = zip(*(parts or [(_ABSENT * noise, 1.0, 0.0)]), strict=True)
         return ImmOptions(
@@ -305,9 +308,13 @@ def _starts(likelihood: _Likelihood, kind: Kind) -> list[Floats]:
         start.append(10.0 * likelihood.size)
         if kind.slow:
             start += [rate, max(2 * (float(np.std(together)) / rate) ** 2, 1.0)]
+        logarithms = [math.log(value) for value in start]
         for part in kind.signal:
-            start += [spread / 3, 10.0] if part == "markov" else [spread, _LEAST_RATE / likelihood.size, loudest]
-        starts.append(np.log(start))
+            if part == "markov":
+                logarithms += [math.log(spread / 3), math.log(10.0)]
+            else:
+                logarithms += [math.log(spread), math.log(_LEAST_RATE / likelihood.size), _SHARP * math.log(loudest)]
+        starts.append(np.array(logarithms))
     return starts
 
 
@@ -353,7 +360,7 @@ def _extended(likelihood: _Likelihood, fit: _Fit) -> _Fit:
     kind = Kind((*fit.kind.signal, "swing"), fit.kind.slow)
     spread = max(float(np.std(value)) for value in likelihood.values)
     starts = [
-        np.append(fit.theta, np.log([spread / 3, 0.5, frequency]))
+        np.append(fit.theta, [math.log(spread / 3), math.log(0.5), _SHARP * math.log(frequency)])
         for frequency in np.geomspace(2 / likelihood.slowest, 0.45, 12)
     ]
     starts.sort(key=lambda theta: -likelihood(kind, theta))

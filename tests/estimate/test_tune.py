@@ -178,7 +178,7 @@ def test_a_model_file_gives_back_every_bit(tmp_path: Path) -> None:
         ("estimator = 3", "not a model file"),
         ("[estimator]\nname = 'aem'", "name = 'aem': must be 'imm'"),
         ("[estimator]\nname = 'imm'\nnoise = 3", "noise: no such option; there are: signal_V"),
-        ("[estimator]\nname = 'imm'\nnoise_V = -3", "noise_V = -3: must be above 0"),
+        ("[estimator]\nname = 'imm'\nnoise_V = -3", "noise_V = -3: must be at least"),
         ("[estimator]\nname = 'imm'\nnoise_V = 'much'", "noise_V = 'much': must be a number"),
         ("[estimator]\nname = 'imm'\nsignal_V = 3", "signal_V = 3: must be a list of numbers"),
     ],
