@@ -49,7 +49,7 @@ def test_the_defaults_pass_the_check_of_a_config_and_come_out_unchanged(name: st
 @pytest.mark.parametrize(
     ("name", "table", "rule"),
     [
-        ("aem", {"sigma_R_V": 0.0}, "greater than 0"),
+        ("aem", {"sigma_R_V": 0.0}, "greater than or equal to 0.0"),
         ("aem", {"windows": [5, 10, 15]}, "must fall from the longest"),
         ("aem", {"windows": [15, 10]}, "one fewer than windows"),
         ("aem", {"thresholds": [1.0, 0.5]}, "must rise"),
