@@ -3,7 +3,7 @@ PY  ?= python3
 PIP := $(PY) -m pip --python .venv/bin/python --disable-pip-version-check install --quiet
 BIN := .venv/bin
 
-.PHONY: run test setup bench lock clean
+.PHONY: run test test-slow setup bench blind lock clean
 
 run: .venv/ready ## acquire ten seconds from the simulated meter
 	$(BIN)/aemd acquire --seconds 10 --out recordings
@@ -16,10 +16,16 @@ test: .venv/ready ## style, spelling, types, layers, tests, the README's command
 	$(BIN)/lint-imports
 	$(BIN)/pytest
 
+test-slow: .venv/ready ## the tests that `test` leaves out because they take minutes
+	$(BIN)/pytest -m slow
+
 setup: .venv/ready
 
 bench: .venv/ready ## performance, side by side in one run, as ratios
 	$(BIN)/python -m tests.benchmarks
+
+blind: .venv/ready ## hide effects in data and see what the critic finds; writes tests/blind/REPORT.md
+	$(BIN)/python -m tests.blind
 
 # --without-pip and `pip --python`: Debian packs ensurepip apart from python3.
 .venv/ready: pyproject.toml .ci/requirements.lock .ci/peers.lock

@@ -142,6 +142,38 @@ def paper(
 
 
 @app.command()
+def diagnose(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, or a table time,value[,witness,...].")],
+    model: Annotated[
+        Path | None,
+        typer.Option("--model", metavar="M.toml", help="The model to criticise instead of the fitted base."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="M.toml", help="Write the extended model, for simulate.")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write the report as one page with pictures.")
+    ] = None,
+    line_frequency: Annotated[float | None, typer.Option(min=0.0, help="Of the mains, Hz, where it is known.")] = None,
+    json: Json = False,
+) -> None:
+    """Say what our model gets wrong about measured data, what that is consistent with, and what fixing it is worth."""
+    from aemd.diagnose import diagnose as criticise
+    from aemd.diagnose import format_diagnosis, write_extended, write_html
+    from aemd.report import as_json
+
+    with _stderr().status("reading") as status:
+        found = criticise(file, model=model, line_frequency_hz=line_frequency, progress=status.update)
+    print(as_json(found) if json else format_diagnosis(found), end="\n" if json else "")
+    if out is not None:
+        write_extended(found, out)
+        _stderr().print(f"model={out}", highlight=False, markup=False)
+    if html is not None:
+        write_html(found, html)
+        _stderr().print(f"report={html}", highlight=False, markup=False)
+
+
+@app.command()
 def simulate(
     model: Annotated[Path, typer.Option(metavar="M.toml", help="Terms and effects that make the readings.")],
     seconds: Annotated[float, typer.Option(help="Length, s.")],
