@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aemd.config import load_estimator
+from aemd.config import EstimatorChoice, load_estimator
 from aemd.errors import ConfigError, RecordingError, UsageError
+from aemd.estimate.imm import ImmOptions
 from aemd.replay import replay
+from aemd.report import as_toml
 from aemd.simulate import simulate
 from aemd.tune import tune_recording
 
@@ -55,6 +57,16 @@ def test_a_replay_with_the_file_is_one_with_its_options_and_repeats_to_the_bit(r
     assert again.identical is True
     assert made.raw_variance_V2 is not None
     assert json.dumps(again.estimate_variance_V2) == json.dumps(made.estimate_variance_V2)
+
+
+def test_a_model_file_gives_back_every_bit(tmp_path: Path) -> None:
+    options = ImmOptions(
+        signal_V=(1 / 3, 0.1), signal_tau_s=(0.7, 2.0), signal_hz=(0.0, 0.1), origin_V=-1e-7, slow="input", lag=3
+    )
+    for choice in (EstimatorChoice("imm", options), EstimatorChoice("imm", ImmOptions())):
+        (tmp_path / "m.toml").write_text(as_toml(choice.as_table()))
+
+        assert load_estimator(tmp_path / "m.toml") == choice
 
 
 def test_too_short_a_stretch_is_refused_in_one_line(recording: Path, tmp_path: Path) -> None:

@@ -1,15 +1,12 @@
 """Tuning: what is put into readings is found in them, and a model file gives back what was written."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from aemd.block import Block, Status, make_block
 from aemd.errors import ConfigError
-from aemd.estimate.imm import ImmOptions
-from aemd.estimate.parameters import read_parameters, write_parameters
 from aemd.estimate.tune import Kind, noise_of, tune
 
 T = 0.1
@@ -155,48 +152,6 @@ def test_too_little_is_refused() -> None:
         tune([], T)
     with pytest.raises(ConfigError, match="too few, at least 100"):
         noise_of(few)
-
-
-def test_a_model_file_gives_back_every_bit(tmp_path: Path) -> None:
-    options = ImmOptions(
-        signal_V=(1 / 3, 0.1), signal_tau_s=(0.7, 2.0), signal_hz=(0.0, 0.1), origin_V=-1e-7, slow="input", lag=3
-    )
-    path = tmp_path / "model.toml"
-
-    write_parameters(options, path, comment="tuned by hand\n")
-    assert read_parameters(path) == options
-
-    write_parameters(ImmOptions(), path)
-    assert read_parameters(path) == ImmOptions()
-
-
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("[estimator", "not a model file"),
-        ("name = 'imm'", "not a model file"),
-        ("estimator = 3", "not a model file"),
-        ("[estimator]\nname = 'aem'", "name = 'aem': must be 'imm'"),
-        ("[estimator]\nname = 'imm'\nnoise = 3", "noise: no such option; there are: signal_V"),
-        ("[estimator]\nname = 'imm'\nnoise_V = -3", "noise_V = -3: must be at least"),
-        ("[estimator]\nname = 'imm'\nnoise_V = 'much'", "noise_V = 'much': must be a number"),
-        ("[estimator]\nname = 'imm'\nsignal_V = 3", "signal_V = 3: must be a list of numbers"),
-    ],
-)
-def test_a_wrong_model_file_is_refused_in_one_line(tmp_path: Path, text: str, complaint: str) -> None:
-    path = tmp_path / "model.toml"
-    path.write_text(text)
-
-    with pytest.raises(ConfigError, match=r"model\.toml: ") as refusal:
-        read_parameters(path)
-
-    assert complaint in str(refusal.value)
-    assert "\n" not in str(refusal.value)
-
-
-def test_a_missing_model_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"none\.toml: cannot be read"):
-        read_parameters(tmp_path / "none.toml")
 
 
 def block_of(readings: np.ndarray, first_index: int) -> Block:
