@@ -168,7 +168,6 @@ def _pruned(fit: Fit, named: list[tuple[Evidence, Named]]) -> tuple[Fit, list[tu
     while number < len(named):  # the last was added in full knowledge of the others
         kept = [at for at in range(len(fit.terms)) if at != number]
         without = refit([fit.terms[at] for at in kept], fit.data, np.concatenate([fit.parts_of(at) for at in kept]))
-        without = restart_base(without)
         lost = fit.log_likelihood - without.log_likelihood
         if lost < max(_LEAST_NATS, fit.terms[number].cost_nats):
             fit, named = without, [*named[: number - 1], *named[number:]]

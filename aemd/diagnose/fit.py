@@ -25,9 +25,11 @@ _CONVERGED = 1e-2  # nats that are not worth another step
 _CONVERGED_PER_READING = 1e-6  # in a long record a hundredth of a nat is far below what can be told
 _DIFFERENCE = 1e-5  # of a free number, for the derivatives
 _SHOCK_GAIN = 6.0  # nats that three more numbers must bring; half of chi-square(3) at 0.7 %
+_LARGE = 4.0  # usual changes that a change must be to be a jump
+_HOPELESS = 20.0  # nats behind after some steps, from which a start is given up
 _FEW_SHOCKS = 8.0  # expected in a record, below which they may be something else
 _SHORT = 5_000  # readings below which likelihoods have several tops, and one more start is tried
-_LONG = 200_000  # readings beyond which the mixture is first fitted to a part
+_LONG = 20_000  # readings beyond which the mixture is first fitted to a part
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,13 +249,22 @@ def _with_shocks(fit: Fit) -> Fit | None:
     large = max(float(np.std(z[out])) / width * core if out.any() else 0.0, 3 * core)
     rate = max(int(np.count_nonzero(out)), 1) / data.span_s
     some = data if data.n <= _LONG else data.only(np.arange(data.y.size) < _LONG)
-    starts = [
-        base_start_with_shocks(data, theta, rate * more, large, decay_steps * data.interval_s)
-        for decay_steps in (0.3, 2.0, 6.0, 20.0)
-        for more in (1.0, 4.0)
-    ]
-    starts.sort(key=lambda base: -score_log_likelihood([base], base.start, some))
-    tried = [climb([base], base.start, some, iterations=25) for base in starts[:2]]
+    calm, jumps_per_s, jump = _without_jumps(some)
+    begins = [(theta, rate * more, large) for more in (1.0, 4.0)]
+    if jump > 0:
+        begins += [(start, jumps_per_s, jump) for start in (fit_calm(calm), *_usual_starts(some))]
+    few = data if data.n <= _SHORT else data.only(np.arange(data.y.size) < _SHORT)
+    starts: list[Base] = []
+    for decay_steps in (0.3, 2.0, 6.0, 20.0):  # the best of each decay, or the starts are all of one kind
+        alike = [
+            base_start_with_shocks(data, start, per_s, size, decay_steps * data.interval_s)
+            for start, per_s, size in begins
+        ]
+        alike.sort(key=lambda base: -score_log_likelihood([base], base.start, few))
+        starts += alike[: 3 if data.n <= _SHORT else 1]
+    tried = [climb([base], base.start, some, iterations=8) for base in starts]
+    top = max(value for _, value in tried)
+    tried = [climb([starts[0]], found, some, iterations=25) for found, value in tried if value > top - _HOPELESS]
     found, _ = max(tried, key=lambda item: item[1])
     if some is not data:
         found, _ = climb([starts[0]], found, data)
@@ -273,10 +284,55 @@ def restart_base(fit: Fit) -> Fit:
     for start in _spectral_starts(replace(data, y=data.y - mean))[:2]:
         theta = fit.theta.copy()
         theta[:5] = start[:5]
-        found, value = climb(fit.terms, theta, data)
+        found, value = climb(fit.terms, theta, data, iterations=8)
+        if value > top - _HOPELESS:
+            found, value = climb(fit.terms, found, data)
         if value > top + _CONVERGED:
             best, top = found, value
     return fit if best is fit.theta else residuals(fit.terms, best, data)
+
+
+def fit_calm(calm: Data) -> Floats:
+    """Return the base without shocks, fitted to readings that were calmed."""
+    start = _spectral_starts(calm)[0]
+    return climb([Base(start, shocks=False, box=base_box(calm))], start, calm, iterations=15)[0]
+
+
+def _usual_starts(data: Data) -> list[Floats]:
+    """Return starts for the base that share the usual change between readings out among signal and noise."""
+    usual = 1.4826 * float(np.median(np.abs(np.diff(data.y))))
+    step = data.interval_s
+    return [
+        np.array(
+            [
+                log(tau_steps * step),
+                log(share * usual / sqrt(step)),
+                log(min(1000 * step, data.span_s)),
+                log(0.1 * usual / sqrt(step)),
+                log(sqrt(1 - share**2) * usual / sqrt(2)),
+                0.0,
+            ]
+        )
+        for tau_steps in (3.0, 15.0, 75.0)
+        for share in (0.3, 0.7, 0.95)
+    ]
+
+
+def _without_jumps(data: Data) -> tuple[Data, float, float]:
+    """Return the readings with their large changes cut off, how many jumps there were per second, and their size.
+
+    Where shocks dwarf everything, what is fitted without them describes nothing. A jump and the steep part of its decay
+    are large changes both; cut to what is usual, their sum leaves a record of the rest, good enough to begin with.
+    """
+    change = np.diff(data.y)
+    usual = 1.4826 * float(np.median(np.abs(change[data.used[1:] & data.used[:-1]])))
+    large = np.abs(change) > _LARGE * usual
+    calm = np.concatenate(([0.0], np.cumsum(np.clip(change, -_LARGE * usual, _LARGE * usual))))
+    first = large & ~np.concatenate(([False], large[:-1]))
+    if not first.any():
+        return data, 0.0, 0.0
+    size = float(np.sqrt(np.mean(change[first] ** 2)))
+    return replace(data, y=calm), int(np.count_nonzero(first)) / data.span_s, size
 
 
 def begin_with(fit: Fit, term: Term) -> Floats:

@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 Outcome = tuple[Evidence, Callable[[], list[Term]]]
 """Evidence, and what makes the terms that could explain it."""
 
+_LEVERAGE = 20.0
 _WORTH_A_FIT = 0.01
 """p from which the look-alikes are prepared; far above the level of any finding."""
 
@@ -103,11 +104,21 @@ def _tails(fit: Fit) -> Outcome:
     return evidence, terms
 
 
+def _limited(shape: Floats) -> Floats:
+    """Return a shape cut to some times its usual size.
+
+    Where a few shocks dwarf everything, a score would be the sum of a few residuals, and no central limit holds for it.
+    The weights are known before the residual, cut or not, so the score's mean stays zero.
+    """
+    bound = _LEVERAGE * float(np.median(np.abs(shape)))
+    return np.clip(shape, -bound, bound)
+
+
 def _signal_dependent_noise(fit: Fit) -> Outcome:
     """Regress z^2 on the square of the predicted reading, which the readings before it alone decide."""
     data, used = fit.data, fit.data.used
     reading = (fit.predicted + data.origin_V / data.unit_V)[used]
-    shape = reading**2 / fit.variance[used]
+    shape = _limited(reading**2 / fit.variance[used])
     shape = shape - shape.mean()
     size = max(float(np.sqrt(np.sum(shape**2))), 1e-300)
     squares = fit.z[used] ** 2
@@ -135,9 +146,9 @@ def _nonlinearity(fit: Fit) -> Outcome:
     """
     data, used = fit.data, fit.data.used
     state = np.where(used, fit.predicted - fit.mean, 0.0)
-    shift = fit.whitened(state**2)
+    shift = _limited(fit.whitened(state**2))
     share = 1 - fit.white**2 / fit.variance
-    louder = np.where(used, 4 * state * np.maximum(share, 0.0), 0.0)
+    louder = _limited(np.where(used, 4 * state * np.maximum(share, 0.0), 0.0))
     louder[used] -= louder[used].mean()
     squares = np.where(used, fit.z**2 - 1, 0.0)
     variance = float(np.sum(shift**2) + 0.25 * np.sum(louder**2) * float(np.mean(squares[used] ** 2)))
