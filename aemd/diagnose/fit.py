@@ -199,7 +199,7 @@ def residuals(terms: Sequence[Term], theta: Floats, data: Data) -> Fit:
 def refit(terms: Sequence[Term], data: Data, start: Floats | None = None) -> Fit:
     """Fit all terms together, from their starts."""
     theta = np.concatenate([term.start for term in terms]) if start is None else start
-    theta, _ = climb(terms, theta, data)
+    theta, _ = climb(terms, theta, data, iterations=40 if data.n <= _LONG else 15)
     return residuals(terms, theta, data)
 
 

@@ -18,6 +18,8 @@ __all__ = ["Named", "name"]
 
 _SKETCH = 6
 """Steps of each candidate's fit before those that lag behind are given up."""
+_LONG = 50_000
+"""Readings from which half as many are enough: likelihoods of long records are steep."""
 _HOPELESS = 20.0
 """Nats that a sketch may lie behind the best; two starts of one term seldom end so far apart from where they meet."""
 _CREDIBLE = 0.95
@@ -47,7 +49,9 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
         return None
     sketches = []
     for term in candidates:
-        theta, value = climb([*fit.terms, term], begin_with(fit, term), fit.data, _SKETCH)
+        theta, value = climb(
+            [*fit.terms, term], begin_with(fit, term), fit.data, _SKETCH if fit.data.n <= _LONG else _SKETCH // 2
+        )
         sketches.append((value - term.cost_nats, theta, term))
     near = max(worth for worth, _, _ in sketches) - _HOPELESS
     fitted: dict[str, tuple[float, Fit, Term]] = {}
