@@ -14,10 +14,10 @@ test: .venv/ready ## style, spelling, types, layers, tests, the README's command
 	$(BIN)/codespell
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto
 
 test-slow: .venv/ready ## the tests that `test` leaves out because they take minutes
-	$(BIN)/pytest -m slow
+	$(BIN)/pytest -n auto -m slow
 
 setup: .venv/ready
 
