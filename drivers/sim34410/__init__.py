@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from annotated_types import Ge, Interval
 
 from aemd.acquire.instrument import Clock
@@ -65,9 +66,15 @@ def make_meter(options: Options, clock: Clock = time.monotonic_ns, *, truth_read
     Raises:
         RecordingError: the recording cannot be read.
     """
-    source: Input = (
-        Model(options.terms, options.seed).realise() if options.recording is None else read_playback(options.recording)
-    )
+    source: Input
+    if options.recording is None:
+        model = Model(options.terms, options.seed)
+        # Compiles the terms' kernels in a history of their own: a meter that stalls at its first reading for as long as
+        # a compiler takes leaves its client in doubt of when that reading was.
+        model.realise().average(np.zeros(1), 1e-3)
+        source = model.realise()
+    else:
+        source = read_playback(options.recording)
     properties = MeterProperties(
         identity=options.identity,
         line_frequency_hz=options.line_frequency_hz,
