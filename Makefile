@@ -40,7 +40,7 @@ UV := .venv/uv/bin/uv pip compile --universal --python-version 3.11 --generate-h
       --no-emit-index-url --no-emit-find-links --custom-compile-command "make lock"
 lock:
 	$(PY) -m venv .venv/uv && .venv/uv/bin/python -m pip install --quiet uv
-	$(UV) pyproject.toml --group dev --output-file .ci/requirements.lock
+	$(UV) pyproject.toml --all-extras --group dev --output-file .ci/requirements.lock
 	$(UV) --group peers --no-deps --output-file .ci/peers.lock
 
 clean:

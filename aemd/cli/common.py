@@ -1,0 +1,66 @@
+"""What the commands share: the app, options that several take, and how a result is shown."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from aemd.errors import UsageError
+
+__all__ = ["EstimatorName", "Json", "Model", "Plot", "app", "draw", "show", "stderr"]
+
+app = typer.Typer(
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Read a digital multimeter without losing a reading, estimate the true input, record both.",
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, alone, on stdout.")]
+Plot = Annotated[
+    Path | None,
+    typer.Option(
+        "--plot",
+        metavar="FILE.png",
+        help="Draw readings, estimate and window.",
+        callback=lambda path: _picture(path),  # noqa: PLW0108 - it stands further down
+    ),
+]
+EstimatorName = Annotated[str | None, typer.Option("--estimator", metavar="NAME", help="Estimator to use.")]
+Model = Annotated[
+    Path | None, typer.Option("--model", metavar="M.toml", help="Estimator and options from a file, as tune writes it.")
+]
+
+
+def show(result: Any, title: str, *, json: bool) -> None:
+    """Print a result on stdout, as a table or as JSON."""
+    from aemd.report import as_json, as_table
+
+    if json:
+        print(as_json(result))
+    else:
+        Console().print(as_table(result, title))
+
+
+def _picture(path: Path | None) -> Path | None:
+    """Refuse, before anything is done, a picture that could not be drawn after it."""
+    if path is not None and path.suffix not in {".png", ".pdf", ".svg"}:
+        raise UsageError(f"--plot {path}: must end in .png, .pdf or .svg")
+    if path is not None and not path.absolute().parent.is_dir():
+        raise UsageError(f"--plot {path}: no such folder: {path.parent}; make it first")
+    return path
+
+
+def draw(recording: str, picture: Path | None) -> None:
+    """Draw a recording if a picture was asked for."""
+    if picture is not None:
+        from aemd.picture import draw
+
+        draw(Path(recording), picture)
+        stderr().print(f"picture={picture}", highlight=False, markup=False)
+
+
+def stderr() -> Console:
+    """Return the console for progress and for what is not the result."""
+    return Console(stderr=True)

@@ -1,0 +1,108 @@
+"""Commands on models: tune, paper, diagnose, simulate."""
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from aemd.cli.common import Json, app, show, stderr
+
+Slow = Literal["disturbance", "input"]
+
+
+@app.command()
+def tune(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="M.toml", help="The new model file.")],
+    from_s: Annotated[float, typer.Option("--from", min=0.0, help="Begin of the stretch, s from the first.")] = 0.0,
+    to_s: Annotated[float, typer.Option("--to", min=0.0, help="End of the stretch, s from the first.")] = math.inf,
+    lag: Annotated[int, typer.Option(min=0, max=10_000, help="Readings by which the estimate may trail.")] = 0,
+    noise_v: Annotated[
+        float | None, typer.Option("--noise", min=0.0, help="White noise of a reading, V, where it is known.")
+    ] = None,
+    slowest_s: Annotated[
+        float | None,
+        typer.Option("--slowest-signal", min=0.0, help="Longest period of the signal, s; slower is drift."),
+    ] = None,
+    slow: Annotated[
+        Slow, typer.Option(help="What the slow part is: the sensor's drift, or the input's.")
+    ] = "disturbance",
+    json: Json = False,
+) -> None:
+    """Find the parameters of the `imm` estimator in a stretch of readings, by their likelihood."""
+    from aemd.tune import tune_recording
+
+    result = tune_recording(
+        file, out, from_s=from_s, to_s=to_s, lag=lag, noise_V=noise_v, slowest_signal_s=slowest_s, slow=slow
+    )
+    show(result, "Tuned", json=json)
+
+
+@app.command()
+def paper(
+    seeds: Annotated[int, typer.Option(min=2, max=100_000, help="Records of each test.")] = 200,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for each processor.")] = None,
+    figures: Annotated[Path | None, typer.Option(metavar="DIR", help="Draw Figures 4 and 5 here.")] = None,
+    json: Json = False,
+) -> None:
+    """Run the paper's tests again: its tables and figures beside ours, judged by error against truth and by gain."""
+    from aemd.display import counting
+    from aemd.paper import as_mapping, as_text, draw_figures, run_paper
+    from aemd.report import as_json
+
+    with counting("paper", stderr()) as progress:
+        result = run_paper(seeds, jobs, progress)
+    print(as_json(as_mapping(result)) if json else as_text(result))
+    if figures is not None:
+        for picture in draw_figures(result.parameters[0], figures):
+            stderr().print(f"picture={picture}", highlight=False, markup=False)
+
+
+@app.command()
+def diagnose(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, or a table time,value[,witness,...].")],
+    model: Annotated[
+        Path | None,
+        typer.Option("--model", metavar="M.toml", help="The model to criticise instead of the fitted base."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="M.toml", help="Write the extended model, for simulate.")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write the report as one page with pictures.")
+    ] = None,
+    line_frequency: Annotated[float | None, typer.Option(min=0.0, help="Of the mains, Hz, where it is known.")] = None,
+    json: Json = False,
+) -> None:
+    """Say what our model gets wrong about measured data, what that is consistent with, and what fixing it is worth."""
+    from aemd.diagnose import diagnose as criticise
+    from aemd.diagnose import format_diagnosis, write_extended, write_html
+    from aemd.report import as_json
+
+    with stderr().status("reading") as status:
+        found = criticise(file, model=model, line_frequency_hz=line_frequency, progress=status.update)
+    print(as_json(found) if json else format_diagnosis(found), end="\n" if json else "")
+    if out is not None:
+        write_extended(found, out)
+        stderr().print(f"model={out}", highlight=False, markup=False)
+    if html is not None:
+        write_html(found, html)
+        stderr().print(f"report={html}", highlight=False, markup=False)
+
+
+@app.command()
+def simulate(
+    model: Annotated[Path, typer.Option(metavar="M.toml", help="Terms and effects that make the readings.")],
+    seconds: Annotated[float, typer.Option(help="Length, s.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.mcap", help="The new recording.")],
+    seed: Annotated[int | None, typer.Option(min=0, help="Of the history; without one, the model's.")] = None,
+    interval: Annotated[float, typer.Option(help="From reading to reading, s.")] = 0.06712,
+    aperture: Annotated[float, typer.Option(help="Time that a reading averages over, s.")] = 0.02,
+    json: Json = False,
+) -> None:
+    """Make the recording that a model would make."""
+    from aemd.simulate import simulate as make
+
+    result = make(model, seconds=seconds, seed=seed, out=out, interval_s=interval, aperture_s=aperture)
+    show(result, "Simulated", json=json)

@@ -1,0 +1,66 @@
+"""Commands on recordings: replay, import, export, info."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from aemd.cli.common import EstimatorName, Json, Model, Plot, app, draw, show, stderr
+
+
+@app.command()
+def replay(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
+    estimator: EstimatorName = None,
+    model: Model = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write readings and new estimates here.")] = None,
+    check: Annotated[bool, typer.Option("--check", help="Compare with the recorded estimates, bit for bit.")] = False,
+    plot: Plot = None,
+    json: Json = False,
+) -> None:
+    """Run a recording through the pipeline again: to the same bits, or with another estimator."""
+    from aemd import replay as offline
+
+    result = offline.replay(file, estimator=estimator, model=model, out=out, check=check, console=stderr())
+    show(result, "Replayed", json=json)
+    if plot is not None:
+        draw(result.out or result.file, plot)
+    if result.identical is False:
+        raise typer.Exit(1)
+
+
+@app.command(name="import")
+def import_table(
+    file: Annotated[Path, typer.Argument(metavar="FILE.csv[.gz]", help="Header time,value[,...]: seconds, reading.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.mcap", help="The new recording.")],
+    unit: Annotated[str, typer.Option(help="Unit of value times scale: V, mV, uV, nV become volts.")] = "V",
+    scale: Annotated[float, typer.Option(help="Factor of every value.")] = 1.0,
+    json: Json = False,
+) -> None:
+    """Make a recording of a table; columns after the second become witness topics."""
+    from aemd.tables import import_csv
+
+    show(import_csv(file, out, unit=unit, scale=scale), "Imported", json=json)
+
+
+@app.command()
+def export(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.csv|.parquet", help="The new table.")],
+    json: Json = False,
+) -> None:
+    """Write a recording as a table: index, time_s, value_V, status, estimate_V, sigma_V, window."""
+    from aemd.tables import export as export_table
+
+    show(export_table(file, out), "Exported", json=json)
+
+
+@app.command()
+def info(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
+    json: Json = False,
+) -> None:
+    """Tell what a recording holds."""
+    from aemd.info import inspect
+
+    show(inspect(file), "Recording", json=json)
