@@ -106,6 +106,7 @@ class Acquisition:
         self._abandoned = Flag()
         self._failure: BaseException | None = None
         self._eager_looks = EAGER_LOOKS
+        self._turns = 0
         self._epoch = 0
         self._next_look_ns = 0
         self._newest_ns = 0
@@ -130,6 +131,11 @@ class Acquisition:
         delivered = self._ring.popped  # before `pushed`, so that none seems to be delivered before it is acquired
         acquired = self._ring.pushed
         return Counts(acquired, delivered, acquired - delivered, self._ledger.lost)
+
+    @property
+    def turns(self) -> int:
+        """Looks at the instrument so far; while this grows the I/O thread is alive."""
+        return self._turns
 
     def clock_facts(self) -> dict[str, str]:
         """Return what is known of the instrument's clock now, as a recording keeps it."""
@@ -231,6 +237,7 @@ class Acquisition:
 
     def _look(self) -> int:
         """Take what is waiting as far as there is room for it; return how many readings are left in the instrument."""
+        self._turns += 1
         most = min(self._ring.free, self._missing(), MOST_AT_ONCE)
         drain = self._instrument.drain(most)
         recount = self._instrument.drain(0) if self._ledger.needs_recount(drain) else None

@@ -52,6 +52,7 @@ class Background:
         self._error_is_told = False
         self._taken = 0
         self._passed_on = 0
+        self._turns = 0
         self._thread = threading.Thread(target=self._run, name=f"aemd-{type(sink).__name__.lower()}", daemon=True)
         self._thread.start()
 
@@ -59,6 +60,11 @@ class Background:
     def in_flight(self) -> int:
         """Readings that were taken and are not yet with the sink."""
         return self._taken - self._passed_on
+
+    @property
+    def turns(self) -> int:
+        """Calls of the sink's `write` that came back; while this grows the thread is alive."""
+        return self._turns
 
     def write(self, batch: Batch, estimates: Estimates) -> None:
         """Hand over one batch; waits while the queue is full.
@@ -112,6 +118,7 @@ class Background:
             while (item := self._next()) is not None:
                 self._sink.write(*item)
                 self._passed_on += len(item[0].readings)
+                self._turns += 1
         except BaseException as error:  # noqa: BLE001 - it is raised again where someone listens
             self._error = error
 
