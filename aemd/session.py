@@ -3,6 +3,7 @@
 import gc
 import math
 import platform
+import shutil
 import socket
 import time
 import uuid
@@ -28,7 +29,7 @@ from aemd.pipeline import Sink, Tally, run
 from aemd.record.background import Background
 from aemd.record.description import Description
 from aemd.record.writer import Recorder
-from aemd.service import stopping_on_signals
+from aemd.service import Notifier, Pulse, stopping_on_signals, watched
 
 __all__ = ["AcquireSummary", "acquire", "opened", "simulated"]
 
@@ -100,8 +101,9 @@ def acquire(
     if seconds is not None and not 0 < seconds < math.inf:
         raise UsageError(f"--seconds {seconds:g}: must be a finite number above 0; leave it out to go on until Ctrl-C")
     stop = _Stop()
+    notifier = Notifier()
     # Before anything is opened: an interrupt in mid-set-up would leave the meter remote, or get lost in a callback.
-    with stopping_on_signals(stop), opened(config) as instrument:
+    with stopping_on_signals(stop, is_service=notifier.is_service), opened(config) as instrument:
         estimator = make_estimator(config.estimator.name, config.estimator.options, instrument.interval_s)
         estimator.push(np.empty(0, READING))  # compiles the kernel, which the first readings should not wait for
         if stop.is_asked:
@@ -113,9 +115,12 @@ def acquire(
         tally = Tally()
         recorder = Background(_open_recorder(config, instrument, folder))
         failure: InstrumentError | None = None
+        acquisition = Acquisition(instrument, most_readings=most)
+        notifier.ready(f"acquiring {folder.absolute()}")
         try:
             with (
-                Acquisition(instrument, most_readings=most) as acquisition,
+                acquisition,
+                watched(notifier, lambda: _pulse(acquisition, recorder), lambda: _status(tally, folder)),
                 stop.passing_on_to(acquisition),
                 showing(tally, config.scale, console, time.monotonic_ns) as progress,
             ):
@@ -143,6 +148,17 @@ def acquire(
         raw_variance_V2=tally.raw.variance,
         estimate_variance_V2=tally.estimate.variance,
     )
+
+
+def _pulse(acquisition: Acquisition, recorder: Background) -> Pulse:
+    counts = acquisition.counts
+    return Pulse(acquisition.turns, counts.delivered, counts.in_flight, recorder.turns)
+
+
+def _status(tally: Tally, folder: Path) -> str:
+    """Return what `systemctl status` shows."""
+    free_GB = shutil.disk_usage(folder).free * 1e-9
+    return f"{tally.rate_hz:.2f}/s  {tally.counts.readings} readings  lost {tally.counts.lost}  disk {free_GB:.0f} GB"
 
 
 class _Stop:
