@@ -165,11 +165,12 @@ class Layout:
 
     def make_rows(self, count: int, channel: int) -> Rows:
         """Return that many rows of the channel, times and values not yet filled in."""
-        rows = np.empty(count, self.row)
+        row = np.zeros(1, self.row)
         for name, constant in self.constants.items():
-            rows[name] = constant
-        rows["channel"] = channel
-        return rows
+            row[name] = constant
+        row["channel"] = channel
+        # As bytes: numpy would copy field by field.
+        return np.repeat(row.view(f"V{self.row.itemsize}"), count).view(self.row)
 
     def are_rows(self, rows: Rows, channel: int) -> bool:
         """Tell whether each of these is a message of this type on that channel."""

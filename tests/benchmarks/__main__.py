@@ -2,9 +2,9 @@
 
 import sys
 
-from tests.benchmarks import estimators, files, stream
+from tests.benchmarks import estimators, files, offline, stream
 
-BENCHMARKS = {"stream": stream.main, "estimators": estimators.main, "files": files.main}
+BENCHMARKS = {"stream": stream.main, "estimators": estimators.main, "files": files.main, "offline": offline.main}
 
 for name in sys.argv[1:] or BENCHMARKS:
     BENCHMARKS[name]()
