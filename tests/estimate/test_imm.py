@@ -8,11 +8,14 @@ import pytest
 from filterpy.kalman import KalmanFilter, rts_smoother
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import brentq
+from scipy.stats import norm
 
 from aemd.block import Block, Estimates, Status, make_block
 from aemd.errors import ConfigError
 from aemd.estimate import make_estimator, options_of
 from aemd.estimate.imm import Imm, ImmOptions
+from aemd.estimate.imm_kernels import merge
 from tests.estimate.plain_imm import PlainImm
 
 T = 1 / 15
@@ -139,6 +142,26 @@ def test_a_lag_gives_each_estimate_when_it_is_due() -> None:
     assert imm.push(block[7:])["index"].tolist() == [3, 4, 5]
     assert imm.flush()["index"].tolist() == [6, 7, 8, 9]
     assert imm.flush().size == 0
+
+
+@given(
+    quiet=st.floats(1e-3, 1 - 1e-3),
+    apart=st.floats(-30, 30),
+    wider=st.floats(-4, 4),
+)
+def test_the_interval_of_any_two_modes_holds_95_percent_of_their_mixture(
+    quiet: float, apart: float, wider: float
+) -> None:
+    weights, means, sds = np.array([quiet, 1 - quiet]), np.array([0.0, apart]), np.array([1.0, math.exp(wider)])
+
+    value, sigma = merge(quiet, 1 - quiet, 0.0, apart, 1.0, math.exp(2 * wider))
+
+    def missing(h: float) -> float:
+        return 0.95 - float(weights @ (norm.cdf((h - means + value) / sds) - norm.cdf((-h - means + value) / sds)))
+
+    assert value == pytest.approx(weights @ means)
+    half = brentq(missing, 0, 2 * (abs(apart) + 10 * sds.max()))
+    assert 1.959964 * sigma == pytest.approx(half, rel=1e-3) or abs(missing(1.959964 * sigma)) < 1e-4
 
 
 def test_its_intervals_hold_the_input_of_its_own_model_95_times_in_100() -> None:
