@@ -34,6 +34,10 @@ class Description:
     """Of `write_parameters`; empty for a recording without estimates, which then has no such topic."""
     clock: Mapping[str, str] = field(default_factory=dict)
     """Epoch, offset and uncertainty as known at the start; `Recorder.close` takes them as known at the end."""
+    segment: Mapping[str, str] = field(default_factory=dict)
+    """Of one file of several that an acquisition left: its number, the file before it, what was lost so far."""
+    state: Mapping[str, str] = field(default_factory=dict)
+    """Of the estimator before the first reading, by `save_state`, where the file begins in mid-stream."""
     config_toml: str = ""
     """The config file's text; "" where there was none."""
 

@@ -9,42 +9,30 @@ Layout (MCAP specification, profile ""):
 While it grows the file is NAME.mcap.active, locked; its final name never takes the place of another file. Schemas and
 channels stand before the first chunk, so that a damaged chunk does not take them with it. Only Message records and the
 bodies of MessageIndex are our own bytes; every other record is written by the mcap package.
+
+A file that is told to keep room owns the blocks for its own end at any time: a disk that fills up refuses the next
+chunk before a byte of it is written, and what was written before can still be finished.
 """
 
 import contextlib
+import errno
 import fcntl
 import os
-import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Literal, NoReturn
 
 import numpy as np
 import zstandard
-from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Header, McapRecord, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from aemd.errors import RecordingError
+from aemd.record.disk import NO_ROOM, keep_room, sync_folder, take_name, why
 from aemd.record.rows import Rows
+from aemd.record.summary import Summary, encode, encode_index
 
 __all__ = ["Compression", "Durability", "GrowingFile"]
 
@@ -52,12 +40,12 @@ Compression = Literal["zstd", "none"]
 Durability = Literal["power", "crash"]
 
 _ZSTD_LEVEL = 1  # level 3 saves less than one per cent of readings, whose last digits are noise
-_INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
-_INDEX_OPCODES = (Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX)
+_END_BYTES = 1 << 16  # besides the summary: config, close and clock records, DataEnd
+_ROOM_STEP_BYTES = 1 << 20  # room is asked for in such steps: at 15 readings/s, some times an hour
 
 
 class GrowingFile:
-    """The file that a Recorder writes. After a failure, or `finish`, it is closed and takes nothing more."""
+    """The file that a Recorder writes. After a failure it takes no more than its end; after `finish`, nothing."""
 
     def __init__(
         self,
@@ -67,35 +55,60 @@ class GrowingFile:
         *,
         compression: Compression,
         durability: Durability,
+        keep_room: bool = False,
+        library: str = "",
     ) -> None:
         """Create the .active file with header, schemas and channels.
+
+        Args:
+            path: name of the finished file.
+            schemas: of the channels.
+            channels: of the messages.
+            compression: of the chunks.
+            durability: "power" syncs each chunk, "crash" leaves that to the kernel.
+            keep_room: own the blocks for the file's end from now on.
+            library: what the header tells besides our name and version.
 
         Raises:
             RecordingError: the recording or its .active file exists, or the disk refuses.
         """
         self.path = path
         self.active = path.with_name(path.name + ".active")
-        self._schemas, self._channels = schemas, channels
         self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL) if compression == "zstd" else None
         self._sync_chunks = durability == "power"
         self._good_bytes = 0
         """What was written whole; also the offset of the next record."""
         self._crc = 0
         """Of all of it."""
-        self._statistics = Statistics(0, len(channels), {}, 0, 0, 0, 0, 0, len(schemas))
-        # Encoded as they come: a day of one-second chunks, as objects, would take ten times the memory.
-        self._indexes = {opcode: RecordBuilder() for opcode in _INDEX_OPCODES}
+        self._room_to = 0 if keep_room else -1
+        """To which byte the file owns its blocks; -1 where it does not ask for them."""
+        self._summary = Summary(schemas, channels)
+        self.has_failed = False
 
         self._fd = self._create()
-        self._append_bytes(MCAP0_MAGIC)
-        self.append(Header(profile="", library=f"aemd {version('aemd')} mcap-python/{version('mcap')}"))
-        for record in (*schemas, *channels):
-            self.append(record)
+        try:
+            self._append_bytes(MCAP0_MAGIC)
+            self.append(Header(profile="", library=f"aemd {version('aemd')} mcap-python/{version('mcap')}{library}"))
+            for record in (*schemas, *channels):
+                self.append(record)
+        except RecordingError:
+            self.discard()
+            raise
 
     @property
     def is_open(self) -> bool:
         """Whether records can be added."""
-        return self._fd >= 0
+        return self._fd >= 0 and not self.has_failed
+
+    @property
+    def is_released(self) -> bool:
+        """Whether nothing more can be done with it."""
+        return self._fd < 0
+
+    @property
+    def size_bytes(self) -> int:
+        """What the file would have if it were finished now, at most."""
+        return self._good_bytes + self._summary.size_bytes
 
     def append(self, record: McapRecord) -> None:
         """Write one record between chunks, and index it where the summary wants that.
@@ -103,23 +116,10 @@ class GrowingFile:
         Raises:
             RecordingError: the disk refused; what was written before is kept and readable.
         """
-        octets = _encode(record)
+        octets = encode(record)
         offset = self._good_bytes
         self._append_bytes(octets)
-        if isinstance(record, Metadata):
-            self._statistics.metadata_count += 1
-            MetadataIndex(offset, len(octets), record.name).write(self._indexes[Opcode.METADATA_INDEX])
-        elif isinstance(record, Attachment):
-            self._statistics.attachment_count += 1
-            AttachmentIndex(
-                offset=offset,
-                length=len(octets),
-                log_time=record.log_time,
-                create_time=record.create_time,
-                data_size=len(record.data),
-                name=record.name,
-                media_type=record.media_type,
-            ).write(self._indexes[Opcode.ATTACHMENT_INDEX])
+        self._summary.add(record, offset, len(octets))
 
     def write_chunk(self, rows: Rows) -> None:
         """Write these messages, at least one, as a chunk with its message indexes, in one piece.
@@ -131,7 +131,7 @@ class GrowingFile:
         first_ns, last_ns = int(rows.log_time[0]), int(rows.log_time[-1])
         compression = "zstd" if self._compressor else ""
         stored = self._compressor.compress(octets) if self._compressor else octets
-        chunk = _encode(
+        chunk = encode(
             Chunk(
                 compression=compression,
                 data=stored,
@@ -141,23 +141,20 @@ class GrowingFile:
                 uncompressed_size=len(octets),
             )
         )
-        parts, offsets = [chunk], {}
+        parts, offsets, counts = [chunk], {}, {}
         offset, at = self._good_bytes, self._good_bytes + len(chunk)
         for channel in np.unique(rows.channel).tolist():
             mine = rows.channel == channel
-            entries = np.empty(np.count_nonzero(mine), _INDEX_ENTRY)
-            entries["log_time"], entries["offset"] = rows.log_time[mine], rows.start[mine]
-            body = entries.tobytes()
-            parts.append(struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(body), channel, len(body)) + body)
+            parts.append(encode_index(channel, rows.log_time[mine], rows.start[mine]))
+            counts[channel] = int(np.count_nonzero(mine))
             offsets[channel] = at
             at += len(parts[-1])
-            counts = self._statistics.channel_message_counts
-            counts[channel] = counts.get(channel, 0) + len(entries)
+        self._ask_for_room(at - offset)
         self._append_bytes(b"".join(parts))
         if self._sync_chunks:
             self._sync()
 
-        ChunkIndex(
+        index = ChunkIndex(
             chunk_length=len(chunk),
             chunk_start_offset=offset,
             compression=compression,
@@ -167,12 +164,8 @@ class GrowingFile:
             message_index_offsets=offsets,
             message_start_time=first_ns,
             uncompressed_size=len(octets),
-        ).write(self._indexes[Opcode.CHUNK_INDEX])
-        if self._statistics.chunk_count == 0:
-            self._statistics.message_start_time = first_ns
-        self._statistics.message_end_time = last_ns
-        self._statistics.chunk_count += 1
-        self._statistics.message_count += len(rows.start)
+        )
+        self._summary.add_chunk(index, counts)
 
     def sync(self) -> None:
         """Wait until the disk has the file and its entry in the folder.
@@ -180,36 +173,44 @@ class GrowingFile:
         Raises:
             RecordingError: the disk refused.
         """
+        self._ask_for_room(0)
         self._sync()
         with self._or_fail():
-            _sync_folder(self.active.parent)
+            sync_folder(self.active.parent)
 
     def finish(self) -> None:
-        """Write the summary, wait for the disk, and give the file its name.
+        """Write the summary, wait for the disk, and give the file its name; after a failure, as far as it was good.
 
         Raises:
             RecordingError: the disk refused, or the name was taken meanwhile; the .active file is kept and readable.
         """
-        self.append(DataEnd(self._crc))
-        self._append_bytes(self._summary())
+        data_end = encode(DataEnd(self._crc))
+        self._append_bytes(data_end + self._summary.end(self._good_bytes + len(data_end)))
+        if self._room_to > self._good_bytes:
+            with self._or_fail():
+                os.ftruncate(self._fd, self._good_bytes)  # the room that was not needed
         self._sync()
         try:
-            os.link(self.active, self.path)  # unlike a rename, it fails where the name is taken
-            self.active.unlink()
-            _sync_folder(self.path.parent)
+            take_name(self.active, self.path)
         except OSError as error:
             raise RecordingError(
-                f"{self.path}: cannot take its name: {_why(error)}; the recording is complete, in {self.active.name}: "
+                f"{self.path}: cannot take its name: {why(error)}; the recording is complete, in {self.active.name}: "
                 "give it another name"
             ) from error
         finally:
-            self._release()
+            self.release()
 
     def discard(self) -> None:
         """Remove the unfinished file; a finished one stays. Twice is fine."""
-        if self.is_open:
-            self._release()
+        if self._fd >= 0:
+            self.release()
             self.active.unlink()
+
+    def release(self) -> None:
+        """Let go of the file as it is, and of its lock. Twice is fine."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
 
     def _create(self) -> int:
         try:
@@ -219,19 +220,38 @@ class GrowingFile:
         except FileExistsError as error:
             raise RecordingError(
                 f"{self.active}: exists: another program writes this recording, or one died doing so; choose another "
-                "name, or move the unfinished file away"
+                "name, or `aemd recover` the unfinished file"
             ) from error
         except OSError as error:
-            raise RecordingError(f"{self.active}: cannot be created: {_why(error)}; choose another folder") from error
-        # Who looks for recordings that a crash has left behind passes over those that are locked.
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            raise RecordingError(f"{self.active}: cannot be created: {why(error)}; choose another folder") from error
+        # Who looks for recordings that a crash has left behind passes over those that are locked. Waits, since such a
+        # look, which finds nothing in an empty file, may be going on.
+        fcntl.flock(fd, fcntl.LOCK_EX)
         return fd
 
+    def _ask_for_room(self, length: int) -> None:
+        """Make sure of the blocks for so many bytes more, and for the file's end behind them."""
+        needed = self._good_bytes + length + self._summary.size_bytes + _END_BYTES
+        if not 0 <= self._room_to < needed:
+            return
+        for room_to in (needed + _ROOM_STEP_BYTES, needed):
+            try:
+                keep_room(self._fd, self._good_bytes, room_to - self._good_bytes)
+            except OSError as error:
+                if error.errno not in {*NO_ROOM, errno.EIO}:  # a file system that cannot: without, then
+                    self._room_to = -1
+                    return
+                if room_to == needed:
+                    self._fail(error)
+                continue
+            self._room_to = room_to
+            return
+
     def _append_bytes(self, octets: bytes) -> None:
-        rest = memoryview(octets)
+        written = 0
         with self._or_fail():
-            while rest:
-                rest = rest[os.write(self._fd, rest) :]
+            while written < len(octets):
+                written += os.pwrite(self._fd, memoryview(octets)[written:], self._good_bytes + written)
         self._good_bytes += len(octets)
         self._crc = zlib.crc32(octets, self._crc)
 
@@ -247,58 +267,14 @@ class GrowingFile:
             self._fail(error)
 
     def _fail(self, error: OSError) -> NoReturn:
-        """Cut the file to what is good, and let go of it."""
+        """Cut the file to what is good; its end may follow, and nothing else."""
+        self.has_failed = True
         with contextlib.suppress(OSError):  # a reader stops at the torn record just as well
-            os.ftruncate(self._fd, self._good_bytes)
-        self._release()
+            if os.fstat(self._fd).st_size > self._good_bytes:
+                os.ftruncate(self._fd, self._good_bytes)
+                if self._room_to >= 0:  # the cut has given it back
+                    keep_room(self._fd, self._good_bytes, self._summary.size_bytes + _END_BYTES)
         raise RecordingError(
-            f"{self.active}: cannot be written: {_why(error)}; its first {self._good_bytes} bytes are kept and "
+            f"{self.active}: cannot be written: {why(error)}; its first {self._good_bytes} bytes are kept and "
             "readable; make room, and record under another name"
         ) from error
-
-    def _release(self) -> None:
-        os.close(self._fd)
-        self._fd = -1
-
-    def _summary(self) -> bytes:
-        """Return the summary section, the footer and the closing magic."""
-        groups: Mapping[Opcode, bytes] = {
-            Opcode.SCHEMA: _encode(*self._schemas),
-            Opcode.CHANNEL: _encode(*self._channels),
-            Opcode.STATISTICS: _encode(self._statistics),
-            **{opcode: _drain(builder) for opcode, builder in self._indexes.items()},
-        }
-        start = at = self._good_bytes
-        offsets = []
-        for opcode, group in groups.items():
-            if group:
-                offsets.append(SummaryOffset(opcode, at, len(group)))
-            at += len(group)
-        summary = b"".join(groups.values()) + _encode(*offsets)
-        # The summary's CRC covers the footer, too, up to the CRC itself.
-        footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, at)
-        return summary + _encode(Footer(start, at, zlib.crc32(summary + footer))) + MCAP0_MAGIC
-
-
-def _encode(*records: McapRecord) -> bytes:
-    builder = RecordBuilder()
-    for record in records:
-        record.write(builder)
-    return _drain(builder)
-
-
-def _drain(builder: RecordBuilder) -> bytes:
-    octets: bytes = builder.end()  # type: ignore[no-untyped-call] # the package leaves its return type out
-    return octets
-
-
-def _sync_folder(folder: Path) -> None:
-    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)
-
-
-def _why(error: OSError) -> str:
-    return (error.strerror or str(error)).lower()

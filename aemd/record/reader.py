@@ -5,19 +5,15 @@ written, reads as far as it goes. The summary at the end is not needed.
 """
 
 import mmap
-import struct
 import zlib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, Self, TypeVar, cast
+from typing import Self, TypeVar
 
 import numpy as np
 from mcap import records
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, DataEnd, Footer, McapRecord, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
@@ -30,14 +26,12 @@ from aemd.record.counts import Counts
 from aemd.record.cut import Piece, cut, make_batch
 from aemd.record.description import Description
 from aemd.record.schema import COLUMNS, ENCODING, FILTERED, RAW, SCHEMAS, WITNESS, WITNESS_PREFIX, make_layout
+from aemd.record.walk import Record, has_end, parse, walk
 
 __all__ = ["Recording", "Statistics"]
 
 _CRC_BYTES = 4
 _CRC_PIECE_BYTES = 1 << 20  # at a time, so that a file of any size takes no memory
-_FRAME = struct.Struct("<BQ")
-_FOOTER = bytes([Opcode.FOOTER]) + (20).to_bytes(8, "little")
-_END_BYTES = len(_FOOTER) + 20 + len(MCAP0_MAGIC)
 _SEQUENCES = 1 << 32
 
 
@@ -58,16 +52,6 @@ class Statistics:
 
 
 _AnyRecord = TypeVar("_AnyRecord", bound=McapRecord)
-
-
-class _Record(NamedTuple):
-    """Where a record is in the file."""
-
-    opcode: int
-    at: int
-    begin: int
-    """First byte of its body."""
-    end: int
 
 
 class Recording:
@@ -93,7 +77,7 @@ class Recording:
         self._counted: records.Statistics | None = None
         self._read_bytes = 0
         try:
-            self.is_finished = _has_end(self._map)
+            self.is_finished = has_end(self._map)
             """Whether the file was closed in order."""
             self._kinds = self._scan(allow_unfinished=allow_unfinished)
             self.description = self._describe()
@@ -230,7 +214,7 @@ class Recording:
             last = max((record.end for record in self._walk()), default=len(MCAP0_MAGIC))
             raise RecordingError(
                 f"{self.path}: is unfinished: it breaks off at byte {last} of {len(self._map)}, without a footer; "
-                "`aemd info` tells what it holds up to there"
+                "`aemd recover` finishes it, `aemd info` tells what it holds up to there"
             )
         schemas: dict[int, Schema] = {}
         for record in self._walk():
@@ -289,6 +273,8 @@ class Recording:
             quantity=raw.get("quantity", "voltage"),
             interval_s=interval_s,
             first_index=first_index,
+            segment={name: text for name, text in segment.items() if name not in {"first_index", "interval_s"}},
+            state=self.metadata.get("aemd.state", {}),
             witnesses={
                 topic.removeprefix(WITNESS_PREFIX): channel.metadata.get("unit", "")
                 for topic, channel in self.channels.items()
@@ -300,31 +286,26 @@ class Recording:
 
     # Records and chunks.
 
-    def _walk(self) -> Iterator[_Record]:
+    def _walk(self) -> Iterator[Record]:
         """Yield every whole record of the file, to its footer or to where an unfinished file breaks off."""
         at = len(MCAP0_MAGIC)
-        while at + _FRAME.size <= len(self._map):
-            opcode, length = _FRAME.unpack_from(self._map, at)
-            end = at + _FRAME.size + length
-            if opcode == 0 or end > len(self._map):  # zeros are what a file system leaves where a write got lost
-                break
-            yield _Record(opcode, at, at + _FRAME.size, end)
-            if opcode == Opcode.FOOTER:
+        for record in walk(self._map):
+            yield record
+            at = record.end
+            if record.opcode == Opcode.FOOTER:
                 return
-            at = end
         if self.is_finished:
             raise RecordingError(f"{self.path}: is damaged: no record at byte {at}")
 
-    def _parse(self, kind: type[_AnyRecord], record: _Record) -> _AnyRecord:
+    def _parse(self, kind: type[_AnyRecord], record: Record) -> _AnyRecord:
         try:
-            parsed = kind.read(ReadDataStream(BytesIO(self._map[record.begin : record.end])))  # type: ignore[attr-defined] # every subclass has it
-        except (struct.error, UnicodeDecodeError, EndOfFile) as error:
-            raise RecordingError(f"{self.path}: is damaged: its {kind.__name__} at byte {record.at}") from error
-        return cast("_AnyRecord", parsed)
+            return parse(kind, self._map, record)
+        except ValueError as error:
+            raise RecordingError(f"{self.path}: is damaged: {error}") from error
 
-    def _chunks(self) -> Iterator[tuple[_Record, list[_Record]]]:
+    def _chunks(self) -> Iterator[tuple[Record, list[Record]]]:
         """Yield each chunk with the message indexes behind it."""
-        chunk, indexes = None, list[_Record]()
+        chunk, indexes = None, list[Record]()
         for record in self._walk():
             if record.opcode == Opcode.MESSAGE_INDEX:
                 indexes.append(record)
@@ -363,11 +344,6 @@ def _unwrap(sequence: NDArray[np.int64], last: int) -> NDArray[np.int64]:
 
 def _is_ours(topic: str) -> bool:
     return topic in SCHEMAS or topic.startswith(WITNESS_PREFIX)
-
-
-def _has_end(octets: mmap.mmap) -> bool:
-    end = octets[-_END_BYTES:]
-    return len(end) == _END_BYTES and end.startswith(_FOOTER) and end.endswith(MCAP0_MAGIC)
 
 
 def _open_map(path: Path) -> mmap.mmap:

@@ -5,6 +5,7 @@ a file, only). What is written by size only does not depend on how the stream wa
 """
 
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -13,12 +14,12 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.well_known import SchemaEncoding
 from numpy.typing import NDArray
 
-from aemd.block import Batch, Estimates
+from aemd.block import ESTIMATE, READING, Batch, Block, Estimates, Event
 from aemd.errors import RecordingError
 from aemd.record.counts import Counts
 from aemd.record.description import Description
 from aemd.record.growing import Compression, Durability, GrowingFile
-from aemd.record.rows import EMPTY, Track, concatenate, merge
+from aemd.record.rows import EMPTY, Rows, Track, concatenate, merge
 from aemd.record.schema import (
     COLUMNS,
     ENCODING,
@@ -55,6 +56,7 @@ class Recorder:
         chunk_bytes: int = CHUNK_BYTES,
         compression: Compression = "zstd",
         durability: Durability = "crash",
+        keep_room: bool = False,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """Create the file and write all that is known before the first reading.
@@ -67,6 +69,7 @@ class Recorder:
             compression: of the chunks.
             durability: "power" waits for the disk after each chunk, so that a power cut costs no more than a crash of
                 the program; "crash" leaves the time to the kernel.
+            keep_room: own the blocks that the file's end will take, so that it can be finished on a disk that fills up.
             clock: host monotonic time, ns.
 
         Raises:
@@ -82,23 +85,32 @@ class Recorder:
         self._due_ns = 0
         self._log_time_ns = 0
         self._counts = Counts(description.first_index)
+        self._written = Counts(description.first_index)
+        self._unwritten = _Unwritten()
 
         schemas, channels = _declare(description)
         self._ids = {channel.topic: channel.id for channel in channels}
         self._layouts = {name: _layout(name) for name in COLUMNS}
-        self._file = GrowingFile(path, schemas, channels, compression=compression, durability=durability)
+        self._file = GrowingFile(
+            path, schemas, channels, compression=compression, durability=durability, keep_room=keep_room
+        )
         segment = {"first_index": str(description.first_index), "interval_s": repr(description.interval_s)}
-        for name, pairs in {
-            "session": description.session,
-            "instrument": description.instrument,
-            "calibration": description.calibration,
-            "estimator": description.estimator,
-            "clock": description.clock,
-            "segment": segment,
-        }.items():
-            if pairs:
-                self._file.append(Metadata(f"aemd.{name}", dict(pairs)))
-        self._file.sync()
+        try:
+            for name, pairs in {
+                "session": description.session,
+                "instrument": description.instrument,
+                "calibration": description.calibration,
+                "estimator": description.estimator,
+                "clock": description.clock,
+                "segment": segment | dict(description.segment),
+                "state": description.state,
+            }.items():
+                if pairs:
+                    self._file.append(Metadata(f"aemd.{name}", dict(pairs)))
+            self._file.sync()
+        except RecordingError:
+            self._file.discard()
+            raise
         # After the first chunk: `mcap recover` rewrites a file that begins with an attachment without compression.
         self._config_waits = bool(description.config_toml)
 
@@ -106,6 +118,26 @@ class Recorder:
     def counts(self) -> Counts:
         """What was taken so far."""
         return self._counts
+
+    @property
+    def written(self) -> Counts:
+        """What of it is in the file."""
+        return self._written
+
+    @property
+    def unwritten_from(self) -> tuple[int, int] | None:
+        """Index and instant, ns, of the first reading that was taken and is not in the file; None if all are."""
+        return self._unwritten.first
+
+    @property
+    def path(self) -> Path:
+        """Name of the finished file."""
+        return self._file.path
+
+    @property
+    def size_bytes(self) -> int:
+        """What the file would have if it were closed now, at most, but for what waits for its chunk."""
+        return self._file.size_bytes
 
     def write(self, batch: Batch, estimates: Estimates) -> None:
         """Take one batch and the estimates that became ready with it; an empty batch only looks at the clock.
@@ -121,6 +153,7 @@ class Recorder:
             self._waiting.append((batch, estimates))
             self._waiting_bytes += self._bytes_of(batch, estimates)
             self._counts.add(batch, estimates)
+            self._unwritten.add(batch)
         due = self._flush_interval_ns is not None and self._clock() >= self._due_ns
         if due or self._waiting_bytes + len(self._rows.octets) >= self._chunk_bytes:
             self._write_chunks(to_the_last=due)
@@ -130,29 +163,37 @@ class Recorder:
     ) -> Path:
         """Write what is left, finish the file and give it its name. Twice is fine.
 
+        After a failed write it finishes what was good, and counts that only.
+
         Args:
-            reason: one word: stop, end, failed.
+            reason: one word: stop, end, rotate, disk-full, failed.
             facts: what the acquisition counted, such as acquired; added to our own counts, and winning over them.
             clock: the clock's epoch, offset and uncertainty as known now.
 
         Returns:
-            Where the readings are: the finished recording, or the .active file if a write has failed before.
+            Where the readings are: the finished recording, or the .active file if it could not take its name.
 
         Raises:
-            RecordingError: the disk refused, or the name was taken meanwhile; the .active file is kept and readable.
+            RecordingError: the disk refused, or the name was taken meanwhile; the .active file is kept and readable,
+                and a second call tries again without what was not written.
         """
-        if self._file.is_open:
-            self._write_chunks(to_the_last=True)
+        if not self._file.is_released:
+            if self._file.is_open:
+                self._write_chunks(to_the_last=True)
             self._write_config(self._log_time_ns)
             if clock:
                 self._file.append(Metadata("aemd.clock", dict(clock)))
-            self._file.append(Metadata("aemd.close", {"reason": reason} | self._counts.to_text() | dict(facts or {})))
+            self._file.append(Metadata("aemd.close", {"reason": reason} | self._written.to_text() | dict(facts or {})))
             self._file.finish()
         return self._file.active if self._file.active.exists() else self._file.path
 
     def discard(self) -> None:
         """Remove the unfinished file; a finished one stays. Twice is fine."""
         self._file.discard()
+
+    def release(self) -> None:
+        """Let go of a file that could not be closed; it stays .active, for `recover`."""
+        self._file.release()
 
     def _bytes_of(self, batch: Batch, estimates: Estimates) -> int:
         witnesses = sum(len(values) for values in batch.witnesses.values())
@@ -166,6 +207,7 @@ class Recorder:
         while len(self._rows.octets) >= self._chunk_bytes or (to_the_last and len(self._rows.start)):
             chunk, self._rows = self._rows.split(int(np.searchsorted(self._rows.start, self._chunk_bytes)))
             self._file.write_chunk(chunk)
+            self._note_written(chunk)
             self._write_config(int(chunk.log_time[-1]))
 
     def _encode_waiting(self) -> None:
@@ -198,11 +240,51 @@ class Recorder:
             rows[field] = values[column]
         return Track(self._ids[topic], values["t_ns"], rows)
 
+    def _note_written(self, chunk: Rows) -> None:
+        """Move what the chunk holds from what waits to what is written, counted as a reader would."""
+        count = {topic: int(np.count_nonzero(chunk.channel == id_)) for topic, id_ in self._ids.items()}
+        batch = self._unwritten.take(count[RAW], count[EVENT])
+        self._written.add(batch, np.empty(count.get(FILTERED, 0), ESTIMATE))
+
     def _write_config(self, log_time_ns: int) -> None:
         if self._config_waits:
             self._config_waits = False
             text = self._description.config_toml.encode()
             self._file.append(Attachment(0, log_time_ns, "config.toml", "application/toml", text))
+
+
+class _Unwritten:
+    """Readings and events that were taken and are in no chunk yet, in their order, which is that of the file."""
+
+    def __init__(self) -> None:
+        self._blocks: deque[Block] = deque()
+        self._events: deque[Event] = deque()
+
+    @property
+    def first(self) -> tuple[int, int] | None:
+        """Index and instant of the first reading."""
+        if not self._blocks:
+            return None
+        return int(self._blocks[0]["index"][0]), int(self._blocks[0]["t_ns"][0])
+
+    def add(self, batch: Batch) -> None:
+        """Put these behind the others."""
+        if len(batch.readings):
+            self._blocks.append(batch.readings)
+        self._events.extend(batch.events)
+
+    def take(self, readings: int, events: int) -> Batch:
+        """Take out the first so many of each."""
+        taken = []
+        while readings:
+            block = self._blocks.popleft()
+            if len(block) > readings:
+                self._blocks.appendleft(block[readings:])
+                block = block[:readings]
+            taken.append(block)
+            readings -= len(block)
+        happened = tuple(self._events.popleft() for _ in range(events))
+        return Batch(concatenate(taken) if taken else np.empty(0, READING), happened)
 
 
 def _layout(name: str) -> Layout:

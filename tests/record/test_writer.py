@@ -240,7 +240,34 @@ def test_a_refused_write_keeps_all_that_was_good(tmp_path: Path) -> None:
     assert kept.tobytes() == readings[:50].tobytes()
     with pytest.raises(RecordingError, match="is closed"):
         recorder.write(Batch(readings[50:]), NOTHING[1])
-    assert recorder.close() == tmp_path / "r.mcap.active"
+
+
+def test_after_a_refused_write_the_file_is_finished_and_counts_what_is_in_it(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "r.mcap", DESCRIPTION, chunk_bytes=4500, compression="none", keep_room=True)
+    readings = readings_of(350)
+    recorder.write(Batch(readings[:250]), NOTHING[1])
+    with _files_no_longer_than((tmp_path / "r.mcap.active").stat().st_size + 100), pytest.raises(RecordingError):
+        recorder.write(Batch(readings[250:]), NOTHING[1])
+
+    assert (recorder.counts.readings, recorder.written.readings) == (350, 200)  # two chunks of 4500 / 45 bytes
+    assert recorder.unwritten_from == (200, int(readings["t_ns"][200]))
+    assert recorder.close("disk-full") == tmp_path / "r.mcap"
+    with Recording(tmp_path / "r.mcap") as recording:
+        recording.verify()
+        assert recording.statistics().readings == 200
+        assert recording.metadata["aemd.close"]["reason"] == "disk-full"
+        assert recording.metadata["aemd.close"]["next_index"] == "200"
+        kept = np.concatenate([batch.readings for batch in recording.batches()])
+    assert kept.tobytes() == readings[:200].tobytes()
+
+
+def test_the_room_kept_for_the_end_is_given_back(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "r.mcap", DESCRIPTION, keep_room=True)
+    held = (tmp_path / "r.mcap.active").stat().st_blocks * 512
+    path = recorder.close()
+
+    assert held > 1 << 16
+    assert path.stat().st_blocks * 512 < 1 << 14
 
 
 def test_a_folder_that_is_not_there_is_one_clear_line(tmp_path: Path) -> None:
