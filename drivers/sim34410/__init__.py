@@ -18,12 +18,17 @@ from annotated_types import Ge, Interval
 
 from aemd.acquire.instrument import Clock
 from aemd.model import GaussMarkov, Model, Shocks, Term, WhiteNoise
+from sim34410.bench import Bench
+from sim34410.clock import SteppedClock
 from sim34410.converter import Input
+from sim34410.faults import Fault, draw_faults
 from sim34410.meter import Meter, MeterProperties
 from sim34410.playback import read_playback
 from sim34410.server import serve_meter
+from sim34410.simulated_link import SimulatedLink
 
-__all__ = ["Input", "Meter", "MeterProperties", "Options", "make_meter", "serve", "serve_meter"]
+__all__ = ["Bench", "Fault", "Input", "Meter", "MeterProperties", "Options", "SimulatedLink", "SteppedClock"]
+__all__ += ["draw_faults", "make_bench", "make_meter", "serve", "serve_meter"]
 
 SENSOR: tuple[Term, ...] = (
     GaussMarkov.from_sd(sd_V=2e-3, tau_s=5.0, role="signal"),
@@ -51,6 +56,16 @@ class Options:
     """One of our recordings, or a CSV (`time,value`: seconds, volts), to be played as the input again and again."""
     clock_error_ppm: Annotated[float, Interval(ge=-1000, le=1000)] = 0.0
     """How much the meter's clock runs fast."""
+    clock_drift_ppm_per_day: Annotated[float, Interval(ge=-10, le=10)] = 0.0
+    """How much faster it runs day by day."""
+    clock_wander_ppm: Annotated[float, Interval(ge=0, le=100)] = 0.0
+    """Amplitude by which its rate swings with the time of the day."""
+    memory_readings: Annotated[int, Interval(ge=2, le=10_000_000)] | None = None
+    """Size of its memory, to have it overflow soon; absent for the model's own."""
+    vxi11_clears: bool = True
+    """Whether the end of the last VXI-11 link stops its sampling and clears its memory, as measured on a 34461A."""
+    faults: tuple[Fault, ...] = ()
+    """What goes wrong, and when."""
     noise: bool = True
     """Whether the meter adds its own noise and offset drift."""
 
@@ -80,10 +95,19 @@ def make_meter(options: Options, clock: Clock = time.monotonic_ns, *, truth_read
         line_frequency_hz=options.line_frequency_hz,
         seed=options.seed,
         clock_error_ppm=options.clock_error_ppm,
+        clock_drift_ppm_per_day=options.clock_drift_ppm_per_day,
+        clock_wander_ppm=options.clock_wander_ppm,
+        memory_readings=options.memory_readings,
         noise=options.noise,
         truth_readings=truth_readings,
     )
     return Meter(source, clock, properties)
+
+
+def make_bench(options: Options, clock: Clock = time.monotonic_ns, *, truth_readings: int = 0) -> Bench:
+    """Return a meter that has just been switched on, on its bench, with the faults of the options; see `make_meter`."""
+    meter = make_meter(options, clock, truth_readings=truth_readings)
+    return Bench(meter, clock, options.faults, vxi11_clears=options.vxi11_clears)
 
 
 @contextmanager

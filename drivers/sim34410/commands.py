@@ -8,9 +8,8 @@ from collections.abc import Callable
 from typing import Any
 
 from sim34410.forms import ONE, UP_TO_ONE, UP_TO_TWO, Command, ask, choice, do, limits, mask, number, switch
-from sim34410.memory import MEMORY_READINGS
 from sim34410.meter import Meter
-from sim34410.noise import NPLC, RANGES_V
+from sim34410.noise import RANGES_V
 from sim34410.readings import (
     configured,
     count_points,
@@ -26,9 +25,8 @@ from sim34410.readings import (
     wait,
 )
 from sim34410.reply import format_integer, format_number
-from sim34410.schedule import GRID_NS, on_grid_ns
+from sim34410.schedule import on_grid_ns
 from sim34410.scpi import NO_UNIT, SECONDS, VOLTS, Tree, parse_boolean, parse_choice, parse_number
-from sim34410.settings import MAX_SAMPLES
 from sim34410.status import EventRegister, ScpiError
 
 __all__ = ["COMMANDS"]
@@ -63,6 +61,18 @@ def _set_zero(meter: Meter, parameters: tuple[str, ...]) -> None:
     meter.take_zero()
 
 
+def _set_nplc(meter: Meter, value: float) -> None:
+    meter.change(nplc=next(nplc for nplc in meter.member.nplc if value <= nplc), aperture_s=None)
+
+
+def _set_timer(meter: Meter, value_s: float) -> None:
+    meter.change(timer_ns=on_grid_ns(value_s, meter.member.timer_step_ns))
+
+
+def _least_interval_s(meter: Meter) -> float:
+    return meter.settings.least_interval_ns(meter.line_frequency_hz, meter.member.timer_step_ns) * 1e-9
+
+
 def _set_resolution(meter: Meter, value_V: float) -> None:
     meter.change(nplc=nplc_for(value_V / meter.settings.range_V), aperture_s=None)
 
@@ -86,8 +96,8 @@ _MEASUREMENT = {
     "MEASure[:VOLTage][:DC]": Command(get=measure, query_parameters=UP_TO_TWO),
     "[SENSe:]VOLTage[:DC]:NPLCycles": number(
         get=lambda meter: meter.settings.nplc,
-        set=_setter("nplc", lambda value: next(nplc for nplc in NPLC if value <= nplc), aperture_s=None),
-        limits=lambda _: limits(NPLC[0], NPLC[-1], 1.0),
+        set=_set_nplc,
+        limits=lambda meter: limits(meter.member.nplc[0], meter.member.nplc[-1], 1.0),
     ),
     "[SENSe:]VOLTage[:DC]:APERture": number(
         get=lambda meter: meter.settings.aperture_ns(meter.line_frequency_hz) * 1e-9,
@@ -123,7 +133,7 @@ _TRIGGER = {
     "TRIGger:COUNt": number(
         get=lambda meter: meter.settings.trigger_count,
         set=_setter("trigger_count"),
-        limits=lambda _: limits(1, MAX_SAMPLES, 1),
+        limits=lambda meter: limits(1, meter.member.most_samples, 1),
         show=format_integer,
         infinity=True,
     ),
@@ -138,16 +148,16 @@ _TRIGGER = {
     "SAMPle:COUNt": number(
         get=lambda meter: meter.settings.sample_count,
         set=_setter("sample_count", round),
-        limits=lambda _: limits(1, MAX_SAMPLES, 1),
+        limits=lambda meter: limits(1, meter.member.most_samples, 1),
         show=format_integer,
     ),
     "SAMPle:SOURce": choice("sample_source", ("IMMediate", "TIMer")),
     "SAMPle:TIMer": number(
         get=lambda meter: meter.settings.timer_ns * 1e-9,
-        set=_setter("timer_ns", on_grid_ns),
-        limits=lambda meter: limits(meter.settings.least_interval_ns(meter.line_frequency_hz) * 1e-9, 3600.0, 1.0),
+        set=_set_timer,
+        limits=lambda meter: limits(_least_interval_s(meter), 3600.0, 1.0),
         units=SECONDS,
-        least=GRID_NS * 1e-9,  # MIN is told, not enforced (PRH page 797)
+        least=20e-6,  # MIN is told, not enforced (PRH page 797)
     ),
 }
 
@@ -159,7 +169,7 @@ _READINGS = {
     "DATA:POINts:EVENt:THReshold": number(
         get=lambda meter: meter.memory_threshold,
         set=lambda meter, value: setattr(meter, "memory_threshold", round(value)),
-        limits=lambda _: limits(1, MEMORY_READINGS, 1),
+        limits=lambda meter: limits(1, meter.memory.size, 1),
         show=format_integer,
     ),
     "DATA:LAST": ask(last),

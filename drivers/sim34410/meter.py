@@ -4,7 +4,8 @@ Nothing runs: readings are made, all at once, when somebody asks what there is b
 nothing, 10,000 readings a second cost a few array operations per question, and a test moves a day in one step.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any, Literal
@@ -12,7 +13,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sim34410.clock import DeviceClock
 from sim34410.converter import OVERLOAD_V, Converter, Input
+from sim34410.family import member
 from sim34410.memory import ReadingMemory
 from sim34410.schedule import Schedule
 from sim34410.settings import Settings
@@ -36,7 +39,12 @@ class MeterProperties:
     line_frequency_hz: float = 50.0
     seed: int = 1
     clock_error_ppm: float = 0.0
-    """How much the meter's clock runs fast."""
+    """How much the meter's clock runs fast; this and the next three are those of `DeviceClock`."""
+    clock_drift_ppm_per_day: float = 0.0
+    clock_wander_ppm: float = 0.0
+    clock_wander_period_s: float = 86_400.0
+    memory_readings: int | None = None
+    """Size of the reading memory, where it is not the model's."""
     noise: bool = True
     """Whether the meter adds its own noise and offset drift."""
     truth_readings: int = 0
@@ -57,11 +65,39 @@ class Meter:
 
     def __init__(self, source: Input, clock: Callable[[], int], properties: MeterProperties | None = None) -> None:
         self.properties = properties or MeterProperties()
-        self.settings = Settings()
+        self.member = member(self.properties.identity)
+        self.memory = ReadingMemory(self.properties.memory_readings or self.member.memory_readings)
+        self.disturb: Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.float64]] = lambda _, value_V: (
+            value_V
+        )
+        """What happens to readings, V, whose apertures begin at these host instants, ns, before they are stored."""
         self.errors = ErrorQueue()
-        self.memory = ReadingMemory()
         self.questionable = EventRegister()
         self.operation = EventRegister()
+        self._clock = clock
+        self._held_ns: int | None = None
+        self._first_on_ns = clock()
+        self._device_clock = DeviceClock(
+            self.properties.clock_error_ppm,
+            self.properties.clock_drift_ppm_per_day,
+            self.properties.clock_wander_ppm,
+            self.properties.clock_wander_period_s,
+        )
+        self._converter = Converter(source, self.properties.seed, noise=self.properties.noise)
+        self._schedule: Schedule | None = None
+        self._triggers_left = 0.0
+        self._made = 0
+        self._run = 0
+        self._index = 0
+        self._late = False
+        self._truth = TruthLog(self.properties.truth_readings)
+        self._power_on()
+
+    def _power_on(self) -> None:
+        self.settings: Settings = Settings()
+        self.errors.clear()
+        self.questionable.reset()
+        self.operation.reset()
         self.standard_event = 128  # power on
         self.standard_event_enable = 0
         self.service_request_enable = 0
@@ -70,17 +106,7 @@ class Meter:
         self.data_format = "ASC,8"
         self.byte_order = "NORM"
         self.display = Display()
-        self._clock = clock
-        self._power_on_ns = clock()
-        self._rate = 1 + self.properties.clock_error_ppm * 1e-6
-        self._converter = Converter(source, self.properties.seed, noise=self.properties.noise)
-        self._schedule: Schedule | None = None
-        self._made = 0
-        self._index = 0
-        self._late = False
-        self._triggers_left = 0.0
         self._announce_completion = False
-        self._truth = TruthLog(self.properties.truth_readings)
 
     # -- state -------------------------------------------------------------------------------------------------------
 
@@ -94,9 +120,9 @@ class Meter:
 
     @property
     def truth(self) -> NDArray[np.void]:
-        """Array of TRUTH (n,): of the last `truth_readings` readings. Not to be asked while the meter is served."""
+        """Array of TRUTH (n,): of the last `truth_readings` readings. Of a meter that is served, ask its `Bench`."""
         self.advance()
-        return self._truth.rows
+        return self._truth.rows(self.memory.fates)
 
     @property
     def idle_at_ns(self) -> int | None:
@@ -142,6 +168,32 @@ class Meter:
         self.advance()  # autorange may move the range until now
         self.configure(replace(self.settings, **fields))
 
+    def clear_device(self) -> None:
+        """Do what the bus message Device Clear does: go idle, without the end that *OPC waits for.
+
+        Status registers, error queue and settings stay (Truevolt guide, page 104; 34420A user's guide, page 203, which
+        adds Ctrl-C for RS-232); the buffers that it empties belong to the session.
+        """
+        self._announce_completion = False
+        self.abort()
+
+    def switch_off_and_on(self) -> None:
+        """Lose power: settings, registers, error queue and readings are gone."""
+        self.clear_device()
+        self.memory.clear()
+        self._power_on()
+        self._converter.take_zero()
+        self._show_state()
+
+    @contextmanager
+    def at(self, instant_ns: int) -> Iterator[None]:
+        """While inside, it is this host instant for the meter: for what happened while nobody looked."""
+        self._held_ns, before_ns = instant_ns, self._held_ns
+        try:
+            yield
+        finally:
+            self._held_ns = before_ns
+
     def take_zero(self) -> None:
         """Measure the offset once, with the next reading, and subtract it from then on (autozero OFF or ONCE)."""
         self._converter.take_zero()
@@ -156,6 +208,7 @@ class Meter:
             raise ScpiError(-213)
         self.memory.clear()
         self.questionable.become(0)
+        self._run += 1
         self._index = 0
         self._triggers_left = self.settings.trigger_count
         if self.settings.trigger_source == "IMM":
@@ -244,29 +297,31 @@ class Meter:
     def _make(self, schedule: Schedule, first: int, last: int) -> None:
         begin_ns = schedule.begin_ns(first, last)
         aperture_ns = self.settings.aperture_ns(self.line_frequency_hz)
-        second = 1e-9 / self._rate
-        begin_s, aperture_s = np.asarray(begin_ns * second, dtype=np.float64), aperture_ns * second
+        begin_host_ns = self._device_clock.host_ns(begin_ns)
+        begin_s = np.asarray(begin_host_ns * 1e-9, dtype=np.float64)
+        aperture_s = aperture_ns * 1e-9 / (1 + 1e-6 * self.properties.clock_error_ppm)
         made = self._converter.convert(begin_s, aperture_s, self.settings.cycles(self.line_frequency_hz), self.settings)
         if made.range_V != self.settings.range_V:
             self.settings = replace(self.settings, range_V=made.range_V)
         if self._late:
             self.questionable.happened(_TIMING_VIOLATION)
-        if np.any(np.abs(made.value_V) == OVERLOAD_V):
+        begin_host_ns += self._first_on_ns
+        value_V = self.disturb(begin_host_ns, made.value_V)
+        if np.any(np.abs(value_V) == OVERLOAD_V):
             self.questionable.happened(_VOLTAGE_OVERLOAD)
-        if self.memory.append(made.value_V):
+        if self.memory.append(value_V):
             self.questionable.happened(_MEMORY_OVERFLOW)
-        begin_host_ns = self._power_on_ns + np.rint(begin_ns / self._rate).astype(np.int64)
-        self._truth.append(self._index, begin_host_ns, aperture_ns, made.truth, made.value_V)
+        self._truth.append(self._run, self._index, begin_host_ns, aperture_ns, made.truth, value_V)
         self._index += last - first
 
     # -- clock and status --------------------------------------------------------------------------------------------
 
     def _now_ns(self) -> int:
-        elapsed_ns = self._clock() - self._power_on_ns
-        return elapsed_ns + round(elapsed_ns * (self._rate - 1))
+        host_ns = self._clock() if self._held_ns is None else self._held_ns
+        return self._device_clock.meter_ns(host_ns - self._first_on_ns)
 
     def _host_ns(self, meter_ns: int) -> int:
-        return self._power_on_ns + round(meter_ns / self._rate)
+        return self._first_on_ns + int(self._device_clock.host_ns(np.asarray([meter_ns]))[0])
 
     def _show_state(self) -> None:
         """Bring the Standard Operation condition and *OPC up to date."""

@@ -12,11 +12,11 @@ import numpy as np
 
 __all__ = ["LIMITS_V", "NPLC", "RANGES_V", "RESOLUTION", "noise_sd"]
 
-NPLC = (0.006, 0.02, 0.06, 0.2, 1.0, 2.0, 10.0, 100.0)
-"""Integration times that the 34410A has, power line cycles."""
+NPLC = (0.001, 0.002, 0.006, 0.02, 0.06, 0.2, 1.0, 2.0, 10.0, 100.0)
+"""Integration times of the family, power line cycles; the 34410A has those from 0.006 on."""
 
-RESOLUTION = (6e-6, 3e-6, 1.5e-6, 0.7e-6, 0.3e-6, 0.2e-6, 0.1e-6, 0.03e-6)
-"""Of each of them, as a fraction of the range."""
+RESOLUTION = (30e-6, 15e-6, 6e-6, 3e-6, 1.5e-6, 0.7e-6, 0.3e-6, 0.2e-6, 0.1e-6, 0.03e-6)
+"""Of each of them, as a fraction of the range (user's guide, page 51)."""
 
 RANGES_V = (0.1, 1.0, 10.0, 100.0, 1000.0)
 """Full scales."""
@@ -24,8 +24,8 @@ RANGES_V = (0.1, 1.0, 10.0, 100.0, 1000.0)
 LIMITS_V = (0.12, 1.2, 12.0, 120.0, 1000.0)
 """Largest reading of each range: 120 % of it, and 1000 V on the last."""
 
-_ADDER_100_MV = (600e-6, 300e-6, 200e-6, 150e-6, 10e-6, 10e-6, 5e-6, 0.0)
-_ADDER_1_AND_100_V = (40e-6, 30e-6, 20e-6, 15e-6, 1e-6, 1e-6, 0.0, 0.0)
+_ADDER_100_MV = (600e-6, 600e-6, 600e-6, 300e-6, 200e-6, 150e-6, 10e-6, 10e-6, 5e-6, 0.0)
+_ADDER_1_AND_100_V = (40e-6, 40e-6, 40e-6, 30e-6, 20e-6, 15e-6, 1e-6, 1e-6, 0.0, 0.0)
 _FRACTION = {
     0.1: np.maximum(RESOLUTION, _ADDER_100_MV),
     1.0: np.maximum(RESOLUTION, _ADDER_1_AND_100_V),

@@ -4,7 +4,6 @@ from dataclasses import replace
 from math import inf
 
 from sim34410.forms import Result, Wait, limits
-from sim34410.memory import MEMORY_READINGS
 from sim34410.meter import Meter
 from sim34410.noise import NPLC, RANGES_V, RESOLUTION
 from sim34410.reply import format_integer, format_number, format_readings
@@ -96,7 +95,7 @@ def wait(meter: Meter, answer: str | None) -> Result:
 
 def take(meter: Meter, parameters: tuple[str, ...]) -> bytes:
     """Remove and return the oldest readings, all of them or as many as are asked for and there (R?)."""
-    most = _count(parameters[0]) if parameters else MEMORY_READINGS
+    most = _count(meter, parameters[0]) if parameters else meter.memory.size
     if len(meter.memory) < most:
         meter.advance()
     return format_readings(meter.memory.take(most), meter.data_format, meter.byte_order, block=True)
@@ -104,7 +103,7 @@ def take(meter: Meter, parameters: tuple[str, ...]) -> bytes:
 
 def remove(meter: Meter, parameters: tuple[str, ...]) -> bytes:
     """Remove and return exactly as many of the oldest readings as are asked for (DATA:REMove?)."""
-    count = _count(parameters[0])
+    count = _count(meter, parameters[0])
     meter.advance()
     if count > len(meter.memory):
         raise ScpiError(-222)
@@ -124,8 +123,9 @@ def last(meter: Meter) -> str:
     return f"{format_number(9.91e37 if last_V is None else last_V)} VDC"
 
 
-def _count(text: str) -> int:
-    value = parse_number(text, NO_UNIT, limits(1, MEMORY_READINGS, MEMORY_READINGS))
-    if not 1 <= value <= MEMORY_READINGS or value != round(value):
+def _count(meter: Meter, text: str) -> int:
+    most = meter.memory.size
+    value = parse_number(text, NO_UNIT, limits(1, most, most))
+    if not 1 <= value <= most or value != round(value):
         raise ScpiError(-222)
     return round(value)

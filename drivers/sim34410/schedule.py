@@ -15,9 +15,9 @@ REARM_NS = 200_000
 of the trigger delay, so that a new timing epoch after SAMPle:COUNt readings is there to be noticed."""
 
 
-def on_grid_ns(interval_s: float) -> int:
+def on_grid_ns(interval_s: float, step_ns: int = GRID_NS) -> int:
     """Return the first tick of the sample timer that is not below `interval_s`, ns (to 1 ns of rounding)."""
-    return -(-(round(interval_s * 1e9)) // GRID_NS) * GRID_NS
+    return -(-(round(interval_s * 1e9)) // step_ns) * step_ns
 
 
 @dataclass(frozen=True, slots=True)

@@ -124,10 +124,17 @@ class Tree(Generic[T]):
         Raises:
             ScpiError: -113, there is none.
         """
-        key = tuple(self._short.get(word) or self._short.get(word.removesuffix("1"), "?") for word in path)
+        key = self._key(path)
         if key not in self._entries:
             raise ScpiError(-113)
         return self._entries[key]
+
+    def short(self, path: tuple[str, ...]) -> str:
+        """Return a path as its short mnemonics, without SENSe and DC, which are optional wherever they are."""
+        return ":".join(word for word in self._key(path) if word not in ("SENS", "DC"))
+
+    def _key(self, path: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(self._short.get(word) or self._short.get(word.removesuffix("1"), "?") for word in path)
 
 
 def parse_number(text: str, units: Mapping[str, int], named: Mapping[str, float]) -> float:

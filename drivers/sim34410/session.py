@@ -17,8 +17,10 @@ INPUT_BYTES = 65_536
 class Session:
     """Buffers input until a line is complete, obeys it, and holds back whatever follows a command that has to wait."""
 
-    def __init__(self, meter: Meter) -> None:
+    def __init__(self, meter: Meter, *, needs_remote: bool = False) -> None:
+        """Talk to a meter; `needs_remote` has it refuse all but SYSTem:REMote until that was sent (34401A, RS-232)."""
         self._meter = meter
+        self._is_local = needs_remote
         self._input = bytearray()
         self._units: Iterator[Unit] = iter(())
         self._replies: list[bytes] = []
@@ -33,6 +35,13 @@ class Session:
     def wake_ns(self) -> int | None:
         """Host instant at which `handle(b"")` will have more to say; None when there is none, or it is not known."""
         return self._waiting.until_ns if self._waiting else None
+
+    def clear(self) -> None:
+        """Empty the buffers, as Device Clear does: what was begun and what waits is forgotten."""
+        self._input.clear()
+        self._units = iter(())
+        self._replies.clear()
+        self._waiting = None
 
     def handle(self, received: bytes) -> bytes:
         """Take bytes from the client, in any pieces; return the bytes to be sent to it.
@@ -74,7 +83,7 @@ class Session:
                     return True
             except ScpiError as error:
                 self._meter.report(error.code)
-                if error.code > -200:  # a command error: the rest of the message cannot be trusted
+                if -200 < error.code < 0:  # a command error: the rest of the message cannot be trusted
                     self._units = iter(())
                 result = None
             waiting = None
@@ -86,6 +95,12 @@ class Session:
 
     def _obey(self, unit: Unit) -> Result:
         command = COMMANDS.find(unit.path)
+        if self._meter.member.lacks and COMMANDS.short(unit.path) in self._meter.member.lacks:
+            raise ScpiError(-113)
+        if self._is_local:
+            self._is_local = COMMANDS.short(unit.path) not in ("SYST:REM", "SYST:RWL")
+            if self._is_local:
+                raise ScpiError(550)
         action = command.get if unit.query else command.set
         if action is None:
             raise ScpiError(-113)

@@ -3,9 +3,8 @@
 from dataclasses import dataclass, fields
 
 from sim34410.noise import NPLC, RESOLUTION
-from sim34410.schedule import GRID_NS
 
-__all__ = ["MAX_SAMPLES", "Settings"]
+__all__ = ["Settings"]
 
 _TRIGGER_SYSTEM = {
     "trigger_source",
@@ -15,9 +14,6 @@ _TRIGGER_SYSTEM = {
     "sample_source",
     "timer_ns",
 }
-
-MAX_SAMPLES = 50_000
-"""SAMPle:COUNt MAX; for the 34410A not found in print, taken as the size of its memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +45,9 @@ class Settings:
         """Return how long a reading takes: its aperture, and as much again for the zero where autozero is on, ns."""
         return self.aperture_ns(line_frequency_hz) * (2 if self.autozero else 1)
 
-    def least_interval_ns(self, line_frequency_hz: float) -> int:
+    def least_interval_ns(self, line_frequency_hz: float, step_ns: int) -> int:
         """Return the answer to SAMPle:TIMer? MIN, the reading's duration on the timer's grid, ns."""
-        return -(-self.reading_ns(line_frequency_hz) // GRID_NS) * GRID_NS
+        return -(-self.reading_ns(line_frequency_hz) // step_ns) * step_ns
 
     def delay_ns(self, line_frequency_hz: float) -> int:
         """Return the delay after a trigger, ns; the automatic one is that of the user's guide, page 73."""

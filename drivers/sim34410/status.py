@@ -23,8 +23,11 @@ ERROR_TEXTS = {
     -230: "Data corrupt or stale",
     -350: "Queue overflow",
     -363: "Input buffer overrun",
+    -410: "Query INTERRUPTED",
+    -420: "Query UNTERMINATED",
+    550: "Command not allowed in local",
 }
-"""Texts of SCPI-99, chapter 21, of the errors that this meter reports."""
+"""Texts of SCPI-99, chapter 21, of the errors that this meter reports; 550 is the 34401A's own."""
 
 QUEUE_LENGTH = 20
 """Errors that the meter keeps."""
@@ -85,6 +88,10 @@ class EventRegister:
     def summary(self) -> bool:
         """Whether an enabled event is waiting to be read."""
         return bool(self._event & self.enable)
+
+    def reset(self) -> None:
+        """Forget everything, as at power on."""
+        self.condition = self.enable = self._event = 0
 
     def happened(self, bits: int) -> None:
         """Set event bits."""

@@ -4,7 +4,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim34410.memory import MEMORY_READINGS, ReadingMemory
+from sim34410.memory import Fate, ReadingMemory
+
+MEMORY_READINGS = 50_000
 
 sizes = st.integers(0, 10) | st.integers(0, 3 * MEMORY_READINGS)
 

@@ -3,12 +3,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aemd.model import Truth
+from sim34410.memory import Fates
 from sim34410.truth import TruthLog
 
 
 def note(log, index, size):
     numbers = np.arange(index, index + size, dtype=float)
-    log.append(index, numbers.astype(np.int64), 7, Truth(numbers, -numbers, 2 * numbers, 3 * numbers), numbers)
+    log.append(1, index, numbers.astype(np.int64), 7, Truth(numbers, -numbers, 2 * numbers, 3 * numbers), numbers)
 
 
 @given(sizes=st.lists(st.integers(1, 20), max_size=20), most=st.integers(0, 60))
@@ -19,5 +20,5 @@ def test_the_truth_of_the_last_readings_is_kept(sizes, most):
         total += size
     expected = np.arange(max(total - most, 0), total)
 
-    assert np.array_equal(log.rows["index"], expected)
-    assert np.array_equal(log.rows["external_V"], 2 * expected)
+    assert np.array_equal(log.rows(Fates())["index"], expected)
+    assert np.array_equal(log.rows(Fates())["external_V"], 2 * expected)
