@@ -13,6 +13,7 @@ from scipy.special import ndtri
 
 from aemd.diagnose.hypothesis import Base, Data, Parts, Term, base_box, base_start_with_shocks
 from aemd.diagnose.kernels import log_densities, predict, whiten
+from aemd.diagnose.telegraph import follow_telegraph
 from aemd.diagnose.terms.noise import Smoothing
 
 __all__ = ["Fit", "begin_with", "fit_base", "refit", "residuals", "restart_base", "score_log_likelihood"]
@@ -85,13 +86,14 @@ def split(terms: Sequence[Term], theta: Floats) -> list[Floats]:
     return np.split(theta, np.cumsum([term.start.size for term in terms])[:-1])
 
 
-def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[float, tuple[Any, ...]]:
-    """Return the share that a smoothing keeps, and the filter's arguments after the data."""
+def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[float, Floats | None, tuple[Any, ...]]:
+    """Return the share that a smoothing keeps, what jumps to and fro, and the filter's arguments after the data."""
     parts = Parts(np.zeros(data.y.size), np.zeros(data.y.size), np.ones(data.y.size))
     for term, numbers in zip(terms, split(terms, theta), strict=True):
         term.add(numbers, data, parts)
     states = np.array(parts.states, np.float64)
-    return parts.kept, (parts.mean, parts.noise_var, parts.scale, states, parts.shocks, parts.extras)
+    arguments = (parts.mean, parts.noise_var, parts.scale, states, parts.shocks, parts.extras)
+    return parts.kept, parts.telegraph, arguments
 
 
 def sharpened(data: Data, kept: float) -> tuple[Floats, Floats | float]:
@@ -156,9 +158,12 @@ def climb(terms: Sequence[Term], start: Floats, data: Data, iterations: int = 40
 
 def densities(terms: Sequence[Term], theta: Floats, data: Data) -> Floats:
     """Return the log density of each scaled reading, shape (n,)."""
-    kept, arguments = assemble(terms, theta, data)
+    kept, telegraph, arguments = assemble(terms, theta, data)
     y, factor = sharpened(data, kept)
-    each = log_densities(y, data.used, data.step_s, *arguments) + factor
+    if telegraph is None:
+        each = log_densities(y, data.used, data.step_s, *arguments) + factor
+    else:
+        each = follow_telegraph(y, data.used, data.step_s, *arguments[:4], telegraph)[0] + factor
     return each if np.isfinite(each).all() else np.full(each.size, -_IMPOSSIBLE)
 
 
@@ -175,9 +180,12 @@ def readings_scores(terms: Sequence[Term], theta: Floats, data: Data, here: Floa
 
 def residuals(terms: Sequence[Term], theta: Floats, data: Data) -> Fit:
     """Return the fit with these free numbers and what it leaves."""
-    kept, arguments = assemble(terms, theta, data)
+    kept, telegraph, arguments = assemble(terms, theta, data)
     y, factor = sharpened(data, kept)
-    each, z, predicted, variance, gains = predict(y, data.used, data.step_s, *arguments)
+    if telegraph is None:
+        each, z, predicted, variance, gains = predict(y, data.used, data.step_s, *arguments)
+    else:
+        each, z, predicted, variance, gains = follow_telegraph(y, data.used, data.step_s, *arguments[:4], telegraph)
     each = each + factor
     return Fit(
         data=data,

@@ -95,9 +95,11 @@ class Parts:
     scale: Floats
     states: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
     shocks: Floats = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
-    extras: Floats = field(default_factory=lambda: np.zeros(5))
+    extras: Floats = field(default_factory=lambda: np.zeros(6))
     kept: float = 0.0
     """Share of the last reading in the next one, by a smoothing after all else."""
+    telegraph: Floats | None = None
+    """Step, and mean stay below and above it, s, of a level that jumps to and fro; it replaces the shocks."""
 
 
 @dataclass(frozen=True, slots=True)

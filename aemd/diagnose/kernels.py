@@ -14,7 +14,7 @@ variance of the undisturbed hypothesis, and the probability integral transform o
 mixture as a standard normal z. If the model is right, z is a sequence of independent N(0, 1).
 """
 
-from math import cos, erfc, exp, log, pi, sin, sqrt
+from math import cos, erf, erfc, exp, log, pi, sin, sqrt
 
 import numpy as np
 from numba import njit
@@ -39,10 +39,11 @@ PREVIOUS = 4
 """What the state before it in the table was at the reading before."""
 
 _MOST = 40  # states; the size of the work space
+_STEEP = 500.0  # logarithm of odds from which they are taken relative to the likeliest, lest they overflow
 
 
 @njit(cache=True)
-def _transition(step_s: float, states: Floats, keep: Floats, turn: Floats, noise: Floats) -> None:
+def transition(step_s: float, states: Floats, keep: Floats, turn: Floats, noise: Floats) -> None:
     """Fill what a step does to each state: factor, coupling to its partner, variance added."""
     for i in range(states.shape[0]):
         kind, tau, omega, rate = states[i, 0], states[i, 1], states[i, 2], states[i, 3]
@@ -66,7 +67,7 @@ def _transition(step_s: float, states: Floats, keep: Floats, turn: Floats, noise
 
 
 @njit(cache=True)
-def _advance_vector(states: Floats, keep: Floats, turn: Floats, x: Floats) -> None:
+def advance_vector(states: Floats, keep: Floats, turn: Floats, x: Floats) -> None:
     """Apply the step to a vector, in place."""
     i = states.shape[0] - 1
     while i >= 0:
@@ -105,8 +106,8 @@ def _filter(
 
     `shocks` is (rate per s, variance of the jump, index of the shock's state or -1). `extras` is (variance per squared
     prediction, quadratic coefficient, probability of an outlier, its added variance, what is added to the prediction
-    before it is squared for the variance). `each` and the arrays after it
-    are filled if they have the readings' length, and left alone if they are empty.
+    before it is squared for the variance, part of the jumps up less that of the jumps down). `each` and the arrays
+    after it are filled if they have the readings' length, and left alone if they are empty.
     """
     m, n = states.shape[0], y.size
     keep, turn, noise = np.zeros(_MOST), np.zeros(_MOST), np.zeros(_MOST)
@@ -114,7 +115,12 @@ def _filter(
     before = np.zeros((m, m))
     for i in range(m):
         p[i, i] = states[i, 4] ** 2
-    shock_at = int(shocks[2])
+    shock_at, outlier, bias = int(shocks[2]), extras[2], extras[5]
+    jump_var, weight_at = 0.0, 0.0
+    if shock_at >= 0:
+        jump_var, weight_at = shocks[1], states[shock_at, 5]
+    jump, calm, jump_step = 0.0, 1.0 - outlier, -1.0  # none before the first reading
+    jumped = np.zeros(m)
     diagonal = True
     for i in range(m):
         if states[i, 0] != MARKOV:
@@ -126,15 +132,19 @@ def _filter(
     for k in range(n):
         h = step_s[k]
         if h != last_step:
-            _transition(h, states, keep, turn, noise)
+            transition(h, states, keep, turn, noise)
             last_step = h
             frozen = False
         if k > 0:
+            if h != jump_step:
+                jump_step = h
+                jump = 1.0 - exp(-shocks[0] * h) if shock_at >= 0 else 0.0
+                calm = (1.0 - jump) * (1.0 - outlier)
             if diagonal:
                 for i in range(m):
                     x[i] *= keep[i]
             else:
-                _advance_vector(states, keep, turn, x)
+                advance_vector(states, keep, turn, x)
             if not frozen:
                 if diagonal:
                     for i in range(m):
@@ -146,18 +156,17 @@ def _filter(
                     for j in range(m):
                         for i in range(m):
                             work[i] = p[i, j]
-                        _advance_vector(states, keep, turn, work)
+                        advance_vector(states, keep, turn, work)
                         for i in range(m):
                             p[i, j] = work[i]
                     for i in range(m):
                         for j in range(m):
                             work[j] = p[i, j]
-                        _advance_vector(states, keep, turn, work)
+                        advance_vector(states, keep, turn, work)
                         for j in range(m):
                             p[i, j] = work[j]
                     for i in range(m):
                         p[i, i] += noise[i]
-        jump = 1.0 - exp(-shocks[0] * h) if shock_at >= 0 and k > 0 else 0.0
         state = 0.0
         for i in range(m):
             state += states[i, 5] * x[i]
@@ -187,7 +196,7 @@ def _filter(
                 for i in range(m):
                     gains[k, i] = 0.0
             if shock_at >= 0:
-                p[shock_at, shock_at] += jump * shocks[1]
+                p[shock_at, shock_at] += jump * jump_var
             continue
         e = y[k] - guess
         if plain:
@@ -212,55 +221,50 @@ def _filter(
                 if moved < 1e-13:
                     frozen, s_frozen, last_noise, last_scale = True, s, r, scale[k]
             continue
-        # Up to three hypotheses: an outlier, else a jump, else neither.
-        outlier = extras[2]
-        weights_total, top = 0.0, -1e300
-        w0 = w1 = w2 = 0.0
-        s1, s2 = s + (shocks[1] * (states[shock_at, 5] * slope) ** 2 if shock_at >= 0 else 0.0), s + extras[3]
-        l0 = log(max((1.0 - jump) * (1.0 - outlier), 1e-300)) - 0.5 * e * e / s - log_s
-        l1 = log(jump * (1.0 - outlier)) - 0.5 * e * e / s1 - 0.5 * log(s1) if jump > 0.0 else -1e300
-        l2 = log(outlier) - 0.5 * e * e / s2 - 0.5 * log(s2) if outlier > 0.0 else -1e300
-        top = max(l0, l1, l2)
-        w0, w1, w2 = exp(l0 - top), exp(l1 - top), exp(l2 - top)
-        weights_total = w0 + w1 + w2
-        density = top + log(weights_total) - root_two_pi
+        # Up to three hypotheses: neither jump nor outlier, a jump, an outlier; the last two by their odds to the first.
+        e2 = e * e
+        s1, s2 = s + jump_var * (weight_at * slope) ** 2, s + extras[3]
+        rise1 = 0.5 * e2 * (1.0 / s - 1.0 / s1) if jump > 0.0 else 0.0
+        rise2 = 0.5 * e2 * (1.0 / s - 1.0 / s2) if outlier > 0.0 else 0.0
+        top = max(rise1, rise2)
+        if top < _STEEP:
+            top = 0.0
+        w0 = calm if top == 0.0 else calm * exp(-top)
+        w1 = jump * (1.0 - outlier) * sqrt(s / s1) * exp(rise1 - top) if jump > 0.0 else 0.0
+        if bias != 0.0 and w1 > 0.0:  # the jump's own sign is known from e but for the rest of the variance
+            w1 *= 1.0 + bias * erf(e * sqrt((s1 - s) / (2.0 * s * s1)))
+        w2 = outlier * sqrt(s / s2) * exp(rise2 - top) if outlier > 0.0 else 0.0
+        weights = w0 + w1 + w2
+        density = top + log(weights) - log_s - 0.5 * e2 / s - root_two_pi
         total += density
         if each.size:
             each[k] = density
-        w0, w1, w2 = w0 / weights_total, w1 / weights_total, w2 / weights_total
+        w0, w1, w2 = w0 / weights, w1 / weights, w2 / weights
         if cdf.size:
-            tail = 0.5 * ((1.0 - jump) * (1.0 - outlier)) * erfc(abs(e) / sqrt(2.0 * s))
+            tail = 0.5 * calm * erfc(abs(e) / sqrt(2.0 * s))
             if jump > 0.0:
-                tail += 0.5 * jump * (1.0 - outlier) * erfc(abs(e) / sqrt(2.0 * s1))
+                lean = 1.0 + (bias if e >= 0 else -bias)
+                tail += 0.5 * jump * (1.0 - outlier) * lean * erfc(abs(e) / sqrt(2.0 * s1))
             if outlier > 0.0:
                 tail += 0.5 * outlier * erfc(abs(e) / sqrt(2.0 * s2))
-            cdf[k] = max(tail, 1e-300) * (1.0 if e >= 0 else -1.0)
-        # Gains of the hypotheses; that of a jump sees the covariance with the jump in it.
-        a2 = shocks[1] if shock_at >= 0 else 0.0
+            tail = max(tail, 1e-300) if tail <= 0.5 else tail - 1.0  # beyond the median: the other tail's
+            cdf[k] = tail * (1.0 if e >= 0 else -1.0)
+        # Each hypothesis moves the mean by its gain times e; that of a jump sees the covariance with the jump in it.
+        # The mixture's covariance is the mean of theirs, plus the spread of their means.
         for i in range(m):
-            work[i] = (w0 / s + w2 / s2) * column[i] + w1 / s1 * column[i]
+            jumped[i] = column[i]
         if shock_at >= 0:
-            work[shock_at] += w1 / s1 * a2 * states[shock_at, 5] * slope
+            jumped[shock_at] += jump_var * weight_at * slope
+            p[shock_at, shock_at] += w1 * jump_var
+        still, moved1 = w0 / s + w2 / s2, w1 / s1
+        a = w0 / s * (e2 / s - 1.0) + w2 / s2 * (e2 / s2 - 1.0)
+        b = moved1 * (e2 / s1 - 1.0)
         for i in range(m):
-            for j in range(i + 1):
-                k0i, k0j = column[i] / s, column[j] / s
-                c1i, c1j = column[i], column[j]
-                if i == shock_at:
-                    c1i += a2 * states[shock_at, 5] * slope
-                if j == shock_at:
-                    c1j += a2 * states[shock_at, 5] * slope
-                k1i, k1j = c1i / s1, c1j / s1
-                k2i, k2j = column[i] / s2, column[j] / s2
-                spread = w0 * k0i * k0j + w1 * k1i * k1j + w2 * k2i * k2j - work[i] * work[j]
-                value = p[i, j] - w0 * column[i] * k0j - w2 * column[i] * k2j - w1 * c1i * k1j + spread * e * e
-                if i == shock_at and j == shock_at:
-                    value += w1 * a2
-                before[i, j] = value
-        for i in range(m):
-            for j in range(i + 1):
-                p[i, j] = before[i, j]
-                p[j, i] = before[i, j]
+            work[i] = still * column[i] + moved1 * jumped[i]
             x[i] += work[i] * e
+            for j in range(i + 1):
+                p[i, j] += a * column[i] * column[j] + b * jumped[i] * jumped[j] - e2 * work[i] * work[j]
+                p[j, i] = p[i, j]
             if gains.size:
                 gains[k, i] = work[i]
     return total
@@ -292,8 +296,8 @@ def log_densities(
         scale: factor of the states in each reading, shape (n,).
         states: table of states, shape (m, 6).
         shocks: rate per s, variance of the jump, index of the shock's state or -1.
-        extras: noise variance per squared state, quadratic coefficient, probability and variance of an outlier, and the
-            offset of the state for the first.
+        extras: noise variance per squared state, quadratic coefficient, probability and variance of an outlier, the
+            offset of the state for the first, and the bias of the jumps' sign, within (-1, 1).
     """
     each = np.zeros(y.size)
     _filter(y, used, step_s, mean, noise_var, scale, states, shocks, extras, each, _NONE, _NONE, _NONE, _NO_GAINS)
@@ -340,9 +344,9 @@ def whiten(template: Floats, step_s: Floats, states: Floats, gains: Floats, used
     for k in range(n):
         if step_s[k] != last_step:
             last_step = step_s[k]
-            _transition(last_step, states, keep, turn, noise)
+            transition(last_step, states, keep, turn, noise)
         if k > 0:
-            _advance_vector(states, keep, turn, x)
+            advance_vector(states, keep, turn, x)
         if not used[k]:
             continue
         e = template[k]
