@@ -10,7 +10,6 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -21,6 +20,7 @@ from aemd.acquire.instrument import find_driver, find_simulator
 from aemd.errors import ConfigError, RecordingError, UsageError, not_among
 from aemd.estimate.registry import ESTIMATORS
 from aemd.record.description import Description, read_parameters, write_parameters
+from aemd.shipped import read_shipped
 
 __all__ = [
     "Config",
@@ -35,7 +35,7 @@ __all__ = [
     "recorded_estimator",
 ]
 
-SIMULATED = "aemd/simulated.toml"
+SIMULATED = "aemd/share/simulated.toml"
 """How messages and recordings name the config that comes with aemd."""
 
 Options = TypeVar("Options")
@@ -144,7 +144,7 @@ def load_config(path: Path | None) -> Config:
         ConfigError: the file cannot be read, is not TOML, or says something that cannot be.
     """
     if path is None:
-        text = _simulated_text()
+        text = read_shipped("simulated.toml")
         return _parse(_read_toml(text, SIMULATED), SIMULATED, text)
     text = _read_text(path)
     return _parse(_read_toml(text, str(path)), str(path), text)
@@ -177,15 +177,6 @@ def _read_toml(text: str, place: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{place}: not TOML: {str(error)[0].lower()}{str(error)[1:]}") from error
-
-
-def _simulated_text() -> str:
-    """Return the text of config/simulated.toml: beside this module when installed, in config/ in a checkout."""
-    package = files("aemd")
-    installed = package.joinpath("simulated.toml")
-    if installed.is_file():
-        return installed.read_text(encoding="utf-8")
-    return Path(str(package)).parent.joinpath("config", "simulated.toml").read_text(encoding="utf-8")
 
 
 def _parse(tables: Mapping[str, Any], place: str, text: str) -> Config:

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -61,6 +61,8 @@ def _say(key: str, value: Any) -> tuple[str, str]:
         return key, datetime.fromtimestamp(value, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
     if isinstance(value, Mapping):
         return key.replace("_", " "), "\n".join(f"{name}: {_say(name, item)[1]}" for name, item in value.items())
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return key.replace("_", " "), "\n".join(map(str, value)) or "-"
     if isinstance(value, bool):
         return key.replace("_", " "), "yes" if value else "no"
     return key.replace("_", " "), f"{value:,}" if isinstance(value, int) else str(value)
