@@ -25,8 +25,9 @@ SPARK_READINGS = 48
 """Latest readings in the sparkline: three seconds at 15 Hz."""
 QUIET_EVENTS = ("clock", "epoch")
 """Of the instrument's ordinary life: in the recording, not on the screen."""
-LINE_EVERY_S = 10.0
-"""Between plain lines: a night of them is a log of a few thousand lines."""
+FIRST_LINE_S = 10.0
+LONGEST_LINE_S = 3600.0
+"""Between plain lines, doubled from the first on: soon for who has just started it, few for a log of months."""
 
 
 def sparkline(values: Sequence[float]) -> str:
@@ -130,7 +131,8 @@ class _Lines:
         self._progress = progress
         self._console = console
         self._clock = clock
-        self._next_ns = clock() + int(LINE_EVERY_S * 1e9)
+        self._pause_s = FIRST_LINE_S
+        self._next_ns = clock() + int(self._pause_s * 1e9)
 
     def write(self, batch: Batch, estimates: Estimates) -> None:
         self._progress.write(batch, estimates)
@@ -138,7 +140,8 @@ class _Lines:
             if event.kind not in QUIET_EVENTS:
                 self._print(f'event={event.kind} message="{event.message}"')
         if self._clock() >= self._next_ns:
-            self._next_ns += int(LINE_EVERY_S * 1e9)
+            self._pause_s = min(2 * self._pause_s, LONGEST_LINE_S)
+            self._next_ns += int(self._pause_s * 1e9)
             self._print(self._progress.line())
 
     def _print(self, text: str) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from aemd.block import ESTIMATE, Batch, Event, make_block
+from aemd.block import ESTIMATE, READING, Batch, Event, make_block
 from aemd.config import Scale
-from aemd.display import LINE_EVERY_S, Progress, showing
+from aemd.display import FIRST_LINE_S, LONGEST_LINE_S, Progress, showing
 from aemd.pipeline import Tally
 
 
@@ -50,14 +50,26 @@ def test_values_are_shown_in_the_sensors_unit() -> None:
     assert 'raw="+1.300000 g"' in progress.line()
 
 
-def test_where_there_is_no_terminal_a_line_comes_now_and_then_and_with_every_event_that_matters() -> None:
+def test_where_there_is_no_terminal_a_line_comes_ever_more_rarely_and_with_every_event_that_matters() -> None:
     clock, tally, out = HandClock(), Tally(), io.StringIO()
     gap = Event(0, "gap", "three readings lost", 1, 3)
     ordinary = Event(0, "clock", "stamps within 1 ms")
     with showing(tally, Scale(), Console(file=out), clock) as sink:
-        feed([tally, sink], clock, 3 * LINE_EVERY_S)
+        feed([tally, sink], clock, 7 * FIRST_LINE_S)  # after 1, 3 and 7 times that
         feed([tally, sink], clock, 1, (gap, ordinary))
 
     lines = out.getvalue().splitlines()
     assert [line.split("=")[0] for line in lines] == ["readings", "readings", "readings", "event"]
     assert lines[-1] == 'event=gap message="three readings lost"'
+
+
+def test_a_log_of_months_has_a_line_an_hour() -> None:
+    clock, tally, out = HandClock(), Tally(), io.StringIO()
+    nothing = Batch(np.empty(0, READING))
+    with showing(tally, Scale(), Console(file=out), clock) as sink:
+        for _ in range(30 * 24 * 6):
+            clock.now_ns += 600_000_000_000
+            sink.write(nothing, np.empty(0, ESTIMATE))
+
+    lines = len(out.getvalue().splitlines())
+    assert lines == pytest.approx(30 * 24 * 3600 / LONGEST_LINE_S, abs=10)
