@@ -41,6 +41,7 @@ UV := .venv/uv/bin/uv pip compile --universal --python-version 3.11 --generate-h
 lock:
 	$(PY) -m venv .venv/uv && .venv/uv/bin/python -m pip install --quiet uv
 	$(UV) pyproject.toml --all-extras --group dev --output-file .ci/requirements.lock
+	$(UV) pyproject.toml --constraint .ci/requirements.lock --output-file .ci/runtime.lock
 	$(UV) --group peers --no-deps --output-file .ci/peers.lock
 
 clean:
