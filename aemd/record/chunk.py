@@ -3,39 +3,36 @@
 Where a message begins is what the chunk's MessageIndex records say, provided that they add up and that a message is
 there; else the records are walked one by one, which is slow and needs no index. Messages of fixed width become arrays
 without a copy of their own wherever they are equally spaced.
+
+And the other way: rows packed into a chunk with its message indexes.
 """
 
 import struct
 import zlib
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
-from io import BytesIO
 from typing import Any
 
 import numpy as np
 import zstandard
 from google.protobuf.message import DecodeError
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Chunk
+from mcap.records import Chunk, ChunkIndex
 from numpy.typing import NDArray
 
-from aemd.record.cut import Messages
-from aemd.record.rows import rows_at
-from aemd.record.schema import COLUMNS, RECORDS, WITNESS, Layout, decode_event
+from aemd.record.cut import Messages, Piece
+from aemd.record.rows import Rows, rows_at
+from aemd.record.schema import COLUMNS, FILTERED, RAW, RECORDS, WITNESS, Layout, decode_event
+from aemd.record.summary import encode, encode_index
+from aemd.record.unpack import BadChunkError, unpack
 
-__all__ = ["BadChunkError", "MessageKind", "decode_chunk"]
+__all__ = ["BadChunkError", "Contents", "FullIndexes", "MessageKind", "decode_chunk", "encode_chunk", "open_chunk"]
 
 _FRAME = struct.Struct("<BQ")  # opcode, length of what follows
 _HEAD = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("times", "<u8", 2)])
 _INDEX = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
+_SEQUENCES = 1 << 32
 _INDEX_HEAD_BYTES = 6  # channel, and the length of what follows
-_MOST_BYTES = 1 << 30  # a chunk that says it is longer is damaged, or nothing that this machine should unpack
-
-
-class BadChunkError(Exception):
-    """The chunk is damaged, or holds what its schema does not allow; the message says which, without the place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +62,7 @@ def decode_chunk(
     Raises:
         BadChunkError: the chunk is damaged or not of its schema.
     """
-    data = _unpack(record)
+    _, data = unpack(record)
     octets = np.frombuffer(data, np.uint8)
     try:
         starts = _starts_by_index(indexes, octets, kinds)
@@ -78,30 +75,133 @@ def decode_chunk(
         raise BadChunkError("holds a message that is not of its schema") from error
 
 
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """All that a chunk holds."""
+
+    head: Chunk
+    """As stored."""
+    rows: Rows
+    """Its messages as they are, in order."""
+    piece: Piece
+    """Those of the known channels, decoded; an index still lacks its upper bits."""
+
+    @property
+    def messages(self) -> dict[int, int]:
+        """Messages by channel, the channels in order."""
+        channels, counts = np.unique(self.rows.channel, return_counts=True)
+        return dict(zip(channels.tolist(), counts.tolist(), strict=True))
+
+    def index_records(self) -> dict[int, bytes]:
+        """Return the MessageIndex records that belong behind the chunk, by channel, the channels in order."""
+        return _index_records(self.rows)
+
+    def chunk_index(self, offset: int, length: int, indexes_at: int) -> ChunkIndex:
+        """Return the summary's record of the chunk.
+
+        Args:
+            offset: of the chunk in the file.
+            length: of the chunk, its frame included.
+            indexes_at: where in the file its message indexes are.
+        """
+        return _chunk_index(self.head, self.index_records(), offset, length, indexes_at)
+
+
+def open_chunk(record: bytes, indexes: Iterable[bytes], kinds: Mapping[int, MessageKind]) -> Contents:
+    """Return all that the chunk holds, whatever its indexes say; arguments and errors as of `decode_chunk`."""
+    head, data = unpack(record)
+    octets = np.frombuffer(data, np.uint8)
+    topics = {kind.topic for kind in kinds.values()}
+    try:
+        starts = _starts_by_index(indexes, octets, kinds)
+        piece = _decode(octets, starts, kinds, topics, 0)
+    except _Misplaced:
+        try:
+            starts = _starts_by_walking(data)
+            piece = _decode(octets, starts, kinds, topics, 0)
+        except (_Misplaced, DecodeError) as error:
+            raise BadChunkError("holds a message that is not of its schema") from error
+    begin = np.concatenate([np.empty(0, np.int64), *starts.values()])
+    order = np.argsort(begin, kind="stable")
+    channel = np.repeat(np.array(list(starts), np.uint16), [len(each) for each in starts.values()])
+    log_time = _rows(octets, _HEAD, begin[order])["times"][:, 0].astype(np.int64)
+    return Contents(head, Rows(octets, channel[order], log_time, begin[order]), piece)
+
+
+def encode_chunk(
+    rows: Rows, compressor: zstandard.ZstdCompressor | None, offset: int
+) -> tuple[bytes, ChunkIndex, dict[int, int]]:
+    """Return a chunk of these messages, at least one, with its message indexes; and what the summary wants to know.
+
+    Args:
+        rows: the messages.
+        compressor: None to store them as they are.
+        offset: where in the file the chunk will be.
+    """
+    octets = rows.octets.tobytes()
+    head = Chunk(
+        compression="zstd" if compressor else "",
+        data=compressor.compress(octets) if compressor else octets,
+        message_start_time=int(rows.log_time[0]),
+        message_end_time=int(rows.log_time[-1]),
+        uncompressed_crc=zlib.crc32(octets),
+        uncompressed_size=len(octets),
+    )
+    chunk, indexes = encode(head), _index_records(rows)
+    index = _chunk_index(head, indexes, offset, len(chunk), offset + len(chunk))
+    counts = {channel: int(np.count_nonzero(rows.channel == channel)) for channel in indexes}
+    return b"".join([chunk, *indexes.values()]), index, counts
+
+
+class FullIndexes:
+    """Gives readings and estimates their indexes in full, chunk by chunk: a Message has the lower 32 bits only.
+
+    Each lies less than one turn after the one before it. The first estimate may belong to a reading before the
+    recording's first, if the estimator lags.
+    """
+
+    def __init__(self, first_index: int) -> None:
+        self._last = {RAW: first_index - 1, FILTERED: first_index - _SEQUENCES // 2}
+
+    def restore(self, piece: Piece) -> None:
+        """Put the upper bits into what the next chunk holds."""
+        for topic in self._last.keys() & piece.keys():
+            sequence = piece[topic].values["index"]
+            if len(sequence):
+                steps = np.empty_like(sequence)
+                steps[0], steps[1:] = sequence[0] - self._last[topic], sequence[1:] - sequence[:-1]
+                sequence[:] = self._last[topic] + np.cumsum(steps & (_SEQUENCES - 1))
+                self._last[topic] = int(sequence[-1])
+
+
 class _Misplaced(Exception):  # noqa: N818 - never leaves this file
     """Where a message of this channel should begin there is none."""
 
 
-def _unpack(record: bytes) -> bytes:
-    try:
-        chunk = Chunk.read(ReadDataStream(BytesIO(record)))
-    except (struct.error, UnicodeDecodeError, EndOfFile) as error:
-        raise BadChunkError("has a damaged header") from error
-    if chunk.uncompressed_size > _MOST_BYTES:
-        raise BadChunkError(f"claims to unpack to {chunk.uncompressed_size} bytes")
-    data: bytes = chunk.data
-    if chunk.compression == "zstd":
-        try:
-            data = zstandard.ZstdDecompressor().decompress(data, max_output_size=chunk.uncompressed_size)
-        except zstandard.ZstdError as error:
-            raise BadChunkError("cannot be unpacked") from error
-    elif chunk.compression:
-        raise BadChunkError(f"is compressed with {chunk.compression!r}, of which we read zstd only")
-    if len(data) != chunk.uncompressed_size:
-        raise BadChunkError(f"unpacks to {len(data)} bytes instead of {chunk.uncompressed_size}")
-    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise BadChunkError("has a wrong CRC")
-    return data
+def _index_records(rows: Rows) -> dict[int, bytes]:
+    found = {}
+    for channel in np.unique(rows.channel).tolist():
+        mine = rows.channel == channel
+        found[channel] = encode_index(channel, rows.log_time[mine], rows.start[mine])
+    return found
+
+
+def _chunk_index(head: Chunk, indexes: Mapping[int, bytes], offset: int, length: int, indexes_at: int) -> ChunkIndex:
+    offsets, at = {}, indexes_at
+    for channel, octets in indexes.items():
+        offsets[channel] = at
+        at += len(octets)
+    return ChunkIndex(
+        chunk_length=length,
+        chunk_start_offset=offset,
+        compression=head.compression,
+        compressed_size=len(head.data),
+        message_end_time=head.message_end_time,
+        message_index_length=at - indexes_at,
+        message_index_offsets=offsets,
+        message_start_time=head.message_start_time,
+        uncompressed_size=head.uncompressed_size,
+    )
 
 
 def _starts_by_index(

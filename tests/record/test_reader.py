@@ -325,9 +325,11 @@ def test_a_foreign_recording_is_refused_in_one_line(tmp_path: Path, made: tuple,
 
 def test_compression_and_layout_that_we_do_not_read_are_refused_in_one_line(tmp_path: Path) -> None:
     told = ("/dmm/raw", "protobuf", "aemd.v1.Reading", SCHEMA_DATA)
+    path = _foreign(tmp_path / "lz4.mcap", *told, compression=CompressionType.LZ4)
+    path.write_bytes(path.read_bytes().replace(b"lz4", b"lz5"))
 
-    with pytest.raises(RecordingError, match="is compressed with 'lz4', of which we read zstd only"):
-        _all(_foreign(tmp_path / "lz4.mcap", *told, compression=CompressionType.LZ4))
+    with pytest.raises(RecordingError, match="is compressed with 'lz5', of which we read zstd and lz4 only"):
+        _all(path)
     with pytest.raises(RecordingError, match="has a message outside a chunk at byte"):
         Recording(_foreign(tmp_path / "flat.mcap", *told, use_chunking=False))
 
