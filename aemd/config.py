@@ -19,6 +19,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from aemd.acquire.instrument import find_driver, find_simulator
 from aemd.errors import ConfigError, RecordingError, UsageError, not_among
 from aemd.estimate.registry import ESTIMATORS
+from aemd.live.options import LiveOptions
 from aemd.record.description import Description, read_parameters, write_parameters
 from aemd.shipped import read_shipped
 
@@ -110,6 +111,7 @@ class Config:
     estimator: EstimatorChoice
     scale: Scale = field(default_factory=Scale)
     recording: RecordingOptions = field(default_factory=RecordingOptions)
+    live: LiveOptions = field(default_factory=LiveOptions)
     text: str = ""
     """The file as read; stored in every recording."""
 
@@ -131,6 +133,7 @@ class Config:
             **self.estimator.as_table(),
             "scale": asdict(self.scale),
             "recording": asdict(self.recording),
+            "live": asdict(self.live),
         }
         if self.simulator is not None:
             tables["simulator"] = asdict(self.simulator)
@@ -180,7 +183,7 @@ def _read_toml(text: str, place: str) -> dict[str, Any]:
 
 
 def _parse(tables: Mapping[str, Any], place: str, text: str) -> Config:
-    known = ("instrument", "simulator", "estimator", "scale", "recording")
+    known = ("instrument", "simulator", "estimator", "scale", "recording", "live")
     for key, value in tables.items():
         if key not in known:
             raise ConfigError(f"{place}: {_unknown(key, known)}")
@@ -209,6 +212,7 @@ def _parse(tables: Mapping[str, Any], place: str, text: str) -> Config:
         estimator=choose_estimator(dict(tables.get("estimator", {})), place),
         scale=parse_options(Scale, tables.get("scale", {}), place, "scale"),
         recording=parse_options(RecordingOptions, tables.get("recording", {}), place, "recording"),
+        live=parse_options(LiveOptions, tables.get("live", {}), place, "live"),
         text=text,
     )
 

@@ -8,7 +8,7 @@ import socket
 import time
 import uuid
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -25,6 +25,9 @@ from aemd.config import Config
 from aemd.display import showing
 from aemd.errors import InstrumentError, RecordingError, UsageError
 from aemd.estimate.registry import make_estimator
+from aemd.live.feed import About
+from aemd.live.health import Sources
+from aemd.live.view import View
 from aemd.pipeline import Sink, Tally, run
 from aemd.record.background import Background
 from aemd.record.description import Description
@@ -83,6 +86,7 @@ def acquire(
     directory: Path | None = None,
     console: Console,
     watchers: Sequence[Sink] = (),
+    views: Sequence[View] = (),
 ) -> AcquireSummary:
     """Acquire until so many seconds of readings are there, or until the process is told to stop.
 
@@ -92,6 +96,7 @@ def acquire(
         directory: folder of the recording; None for the config's.
         console: where progress is shown.
         watchers: further sinks, which come right after the estimator.
+        views: live views to show it in; they stay the caller's to close.
 
     Raises:
         InstrumentError: the instrument failed; what came before is in the finished recording, which the message names.
@@ -113,7 +118,8 @@ def acquire(
         gc.collect()
         gc.freeze()
         tally = Tally()
-        recorder = Background(_open_recorder(config, instrument, folder))
+        recorder = Background(file := _open_recorder(config, instrument, folder))
+        sources = Sources(tally.counts, unwritten=lambda: recorder.in_flight, file=lambda: file.active)
         failure: InstrumentError | None = None
         acquisition = Acquisition(instrument, most_readings=most)
         notifier.ready(f"acquiring {folder.absolute()}")
@@ -123,8 +129,10 @@ def acquire(
                 watched(notifier, lambda: _pulse(acquisition, recorder), lambda: _status(tally, folder)),
                 stop.passing_on_to(acquisition),
                 showing(tally, config.scale, console, time.monotonic_ns) as progress,
+                _shown(views, _about(config, instrument), sources, console),
             ):
-                run(acquisition.batches(), estimator, [*watchers, tally, recorder, progress])
+                inboxes = [view.inbox for view in views]  # behind the recorder, which they thus cannot delay
+                run(acquisition.batches(), estimator, [*watchers, tally, recorder, *inboxes, progress])
         except InstrumentError as error:
             failure = error
         except BaseException:
@@ -159,6 +167,30 @@ def _status(tally: Tally, folder: Path) -> str:
     """Return what `systemctl status` shows."""
     free_GB = shutil.disk_usage(folder).free * 1e-9
     return f"{tally.rate_hz:.2f}/s  {tally.counts.readings} readings  lost {tally.counts.lost}  disk {free_GB:.0f} GB"
+
+
+@contextmanager
+def _shown(views: Sequence[View], about: About, sources: Sources, console: Console) -> Iterator[None]:
+    """While inside, serve the live views; say where."""
+    with ExitStack() as stack:
+        for view in views:
+            stack.enter_context(view.showing(about, sources))
+            console.print(f"live={view.url}", highlight=False, markup=False, soft_wrap=True)
+        yield
+
+
+def _about(config: Config, instrument: Instrument) -> About:
+    return About(
+        instrument=" ".join(filter(None, (instrument.identity.get("model"), instrument.identity.get("serial")))),
+        resource=instrument.identity.get("resource", config.resource),
+        estimator=config.estimator.name,
+        interval_s=instrument.interval_s,
+        factor=config.scale.factor,
+        offset=config.scale.offset,
+        unit=config.scale.unit,
+        # A display of 6 1/2 digits, and one more that the meter sends.
+        resolution_V=1e-7 * getattr(config.instrument, "range_V", 0.0),
+    )
 
 
 class _Stop:

@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
-from aemd.cli.common import EstimatorName, Json, Model, Plot, app, draw, show, stderr
+from aemd.cli.common import AddressCommand, EstimatorName, Json, Model, Plot, app, draw, show, stderr
 
 
-@app.command()
+@app.command(cls=AddressCommand)
 def acquire(
     config: Annotated[
         Path | None, typer.Argument(metavar="[CONFIG]", help="Config file; without one, the simulated meter.")
@@ -20,11 +20,15 @@ def acquire(
     estimator: EstimatorName = None,
     model: Model = None,
     plot: Plot = None,
+    live: Annotated[
+        str | None, typer.Option(metavar="[HOST:PORT]", help="Serve a live page; 127.0.0.1:8410 unless told.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Acquire from a meter into a recording, estimating online, until --seconds are over or Ctrl-C."""
     from aemd import session
     from aemd.config import load_config, load_estimator, name_estimator
+    from aemd.live.view import open_views
 
     settings = load_config(config)
     if resource is not None:
@@ -33,7 +37,8 @@ def acquire(
         settings = settings.with_estimator(load_estimator(model))
     if estimator is not None:
         settings = settings.with_estimator(name_estimator(estimator, settings.estimator))
-    result = session.acquire(settings, seconds=seconds, directory=out, console=stderr())
+    with open_views(live, settings.live) as views:
+        result = session.acquire(settings, seconds=seconds, directory=out, console=stderr(), views=views)
     show(result, "Acquired", json=json)
     draw(result.file, plot)
 

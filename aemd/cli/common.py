@@ -1,14 +1,16 @@
 """What the commands share: the app, options that several take, and how a result is shown."""
 
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from typer.core import TyperCommand
 
 from aemd.errors import UsageError
 
-__all__ = ["EstimatorName", "Json", "Model", "Plot", "app", "draw", "show", "stderr"]
+__all__ = ["AddressCommand", "EstimatorName", "Json", "Model", "Plot", "app", "draw", "show", "stderr"]
 
 app = typer.Typer(
     add_completion=False,
@@ -31,6 +33,24 @@ EstimatorName = Annotated[str | None, typer.Option("--estimator", metavar="NAME"
 Model = Annotated[
     Path | None, typer.Option("--model", metavar="M.toml", help="Estimator and options from a file, as tune writes it.")
 ]
+
+
+class AddressCommand(TyperCommand):
+    """A command whose address options may stand without their value, which then is empty.
+
+    A word that follows one is its value only if it looks like an address: `--live bench.toml` is an option and a file.
+    A name without a port is written `--live=NAME`.
+    """
+
+    options = ("--live", "--foxglove")
+    looks_like_address = re.compile(r"\d+|localhost|(\d+\.){3}\d+|(\[[0-9a-fA-F:.]+\]|[\w.-]*):\d+|\[[0-9a-fA-F:.]+\]")
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put in the empty values, and parse."""
+        for at, word in reversed(list(enumerate(args))):
+            if word in self.options and not self.looks_like_address.fullmatch("".join(args[at + 1 : at + 2])):
+                args = [*args[:at], f"{word}=", *args[at + 1 :]]
+        return super().parse_args(ctx, args)
 
 
 def show(result: Any, title: str, *, json: bool) -> None:

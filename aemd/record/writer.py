@@ -139,6 +139,11 @@ class Recorder:
         """What the file would have if it were closed now, at most, but for what waits for its chunk."""
         return self._file.size_bytes
 
+    @property
+    def active(self) -> Path:
+        """The file as it is named while it grows."""
+        return self._file.active
+
     def write(self, batch: Batch, estimates: Estimates) -> None:
         """Take one batch and the estimates that became ready with it; an empty batch only looks at the clock.
 
