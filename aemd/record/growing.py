@@ -24,22 +24,22 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal, NoReturn
 
-import numpy as np
 import zstandard
-from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Header, McapRecord, Schema
+from mcap.records import Channel, DataEnd, Header, McapRecord, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from aemd.errors import RecordingError
+from aemd.record.chunk import encode_chunk
 from aemd.record.disk import NO_ROOM, keep_room, sync_folder, take_name, why
 from aemd.record.rows import Rows
-from aemd.record.summary import Summary, encode, encode_index
+from aemd.record.summary import Summary, encode
 
-__all__ = ["Compression", "Durability", "GrowingFile"]
+__all__ = ["ZSTD_LEVEL", "Compression", "Durability", "GrowingFile"]
 
 Compression = Literal["zstd", "none"]
 Durability = Literal["power", "crash"]
 
-_ZSTD_LEVEL = 1  # level 3 saves less than one per cent of readings, whose last digits are noise
+ZSTD_LEVEL = 1  # level 3 saves less than one per cent of readings, whose last digits are noise
 _END_BYTES = 1 << 16  # besides the summary: config, close and clock records, DataEnd
 _ROOM_STEP_BYTES = 1 << 20  # room is asked for in such steps: at 15 readings/s, some times an hour
 
@@ -74,7 +74,7 @@ class GrowingFile:
         """
         self.path = path
         self.active = path.with_name(path.name + ".active")
-        self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL) if compression == "zstd" else None
+        self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL) if compression == "zstd" else None
         self._sync_chunks = durability == "power"
         self._good_bytes = 0
         """What was written whole; also the offset of the next record."""
@@ -127,44 +127,11 @@ class GrowingFile:
         Raises:
             RecordingError: the disk refused; what was written before is kept and readable.
         """
-        octets = rows.octets.tobytes()
-        first_ns, last_ns = int(rows.log_time[0]), int(rows.log_time[-1])
-        compression = "zstd" if self._compressor else ""
-        stored = self._compressor.compress(octets) if self._compressor else octets
-        chunk = encode(
-            Chunk(
-                compression=compression,
-                data=stored,
-                message_start_time=first_ns,
-                message_end_time=last_ns,
-                uncompressed_crc=zlib.crc32(octets),
-                uncompressed_size=len(octets),
-            )
-        )
-        parts, offsets, counts = [chunk], {}, {}
-        offset, at = self._good_bytes, self._good_bytes + len(chunk)
-        for channel in np.unique(rows.channel).tolist():
-            mine = rows.channel == channel
-            parts.append(encode_index(channel, rows.log_time[mine], rows.start[mine]))
-            counts[channel] = int(np.count_nonzero(mine))
-            offsets[channel] = at
-            at += len(parts[-1])
-        self._ask_for_room(at - offset)
-        self._append_bytes(b"".join(parts))
+        octets, index, counts = encode_chunk(rows, self._compressor, self._good_bytes)
+        self._ask_for_room(len(octets))
+        self._append_bytes(octets)
         if self._sync_chunks:
             self._sync()
-
-        index = ChunkIndex(
-            chunk_length=len(chunk),
-            chunk_start_offset=offset,
-            compression=compression,
-            compressed_size=len(stored),
-            message_end_time=last_ns,
-            message_index_length=at - offset - len(chunk),
-            message_index_offsets=offsets,
-            message_start_time=first_ns,
-            uncompressed_size=len(octets),
-        )
         self._summary.add_chunk(index, counts)
 
     def sync(self) -> None:

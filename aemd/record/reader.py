@@ -12,27 +12,25 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, TypeVar
 
-import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, DataEnd, Footer, McapRecord, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
-from numpy.typing import NDArray
 
 from aemd.block import Batch, Estimates
 from aemd.errors import RecordingError
-from aemd.record.chunk import BadChunkError, MessageKind, decode_chunk
+from aemd.record.chunk import BadChunkError, FullIndexes, MessageKind, decode_chunk
 from aemd.record.counts import Counts
 from aemd.record.cut import Piece, cut, make_batch
 from aemd.record.description import Description
-from aemd.record.schema import COLUMNS, ENCODING, FILTERED, RAW, SCHEMAS, WITNESS, WITNESS_PREFIX, make_layout
+from aemd.record.kinds import is_ours, kind_of
+from aemd.record.schema import FILTERED, RAW, SCHEMAS, WITNESS_PREFIX
 from aemd.record.walk import Record, has_end, parse, walk
 
-__all__ = ["Recording", "Statistics"]
+__all__ = ["Recording", "Statistics", "open_map"]
 
 _CRC_BYTES = 4
 _CRC_PIECE_BYTES = 1 << 20  # at a time, so that a file of any size takes no memory
-_SEQUENCES = 1 << 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +66,7 @@ class Recording:
             RecordingError: it cannot be read, is no MCAP file, has no end, or is none of our recordings.
         """
         self.path = path
-        self._map = _open_map(path)
+        self._map = open_map(path)
         self.metadata: dict[str, dict[str, str]] = {}
         """Every Metadata record by its name; one that comes twice adds to the first."""
         self.channels: dict[str, Channel] = {}
@@ -243,23 +241,14 @@ class Recording:
             raise RecordingError(
                 f"{self.path}: has no topic {RAW} of {SCHEMAS[RAW]}, which we need; its topics: {topics}"
             )
-        return dict(self._kind_of(topic, schemas) for topic in self.channels if _is_ours(topic))
+        return dict(self._kind_of(topic, schemas) for topic in self.channels if is_ours(topic))
 
     def _kind_of(self, topic: str, schemas: Mapping[int, Schema]) -> tuple[int, MessageKind]:
         channel = self.channels[topic]
-        schema, needed = schemas.get(channel.schema_id), SCHEMAS.get(topic, WITNESS)
-        if schema is None or schema.name != needed or channel.message_encoding != ENCODING:
-            name = "no schema" if schema is None else f"{schema.name!r} as {channel.message_encoding!r}"
-            raise RecordingError(f"{self.path}: topic {topic} has {name}; we read {needed} as {ENCODING} only")
-        if needed not in COLUMNS:
-            return channel.id, MessageKind(topic, needed, None)
-        layout = make_layout(schema.data, needed, COLUMNS[needed])
-        if layout is None:
-            raise RecordingError(
-                f"{self.path}: topic {topic} has a {needed} that lacks one of {', '.join(COLUMNS[needed])}, or has "
-                "fields without fixed width and presence; we read those of aemd only"
-            )
-        return channel.id, MessageKind(topic, needed, layout)
+        try:
+            return channel.id, kind_of(channel, schemas.get(channel.schema_id))
+        except ValueError as error:
+            raise RecordingError(f"{self.path}: {error}") from error
 
     def _describe(self) -> Description:
         raw, segment = self.channels[RAW].metadata, self.metadata.get("aemd.segment", {})
@@ -318,8 +307,7 @@ class Recording:
 
     def _pieces(self, topics: Collection[str]) -> Iterator[Piece]:
         """Yield what each chunk holds of these topics, the indexes of readings and estimates in full."""
-        # The first estimate may belong to a reading before the recording's first, if the estimator lags.
-        last = {RAW: self.description.first_index - 1, FILTERED: self.description.first_index - _SEQUENCES // 2}
+        indexes_of = FullIndexes(self.description.first_index)
         base = 0
         for chunk, indexes in self._chunks():
             bodies = (self._map[index.begin : index.end] for index in indexes)
@@ -328,25 +316,16 @@ class Recording:
             except BadChunkError as error:
                 raise RecordingError(f"{self.path}: is damaged: its chunk at byte {chunk.at} {error}") from error
             base += length
-            for topic in last.keys() & piece.keys():
-                values = piece[topic].values
-                values["index"] = _unwrap(values["index"], last[topic])
-                last[topic] = int(values["index"][-1])
+            indexes_of.restore(piece)
             yield piece
 
 
-def _unwrap(sequence: NDArray[np.int64], last: int) -> NDArray[np.int64]:
-    """Return the indexes whose lower 32 bits these are, each less than one turn after the one before it."""
-    steps = np.empty_like(sequence)
-    steps[0], steps[1:] = sequence[0] - last, sequence[1:] - sequence[:-1]
-    return last + np.cumsum(steps & (_SEQUENCES - 1))
+def open_map(path: Path) -> mmap.mmap:
+    """Return the file's bytes.
 
-
-def _is_ours(topic: str) -> bool:
-    return topic in SCHEMAS or topic.startswith(WITNESS_PREFIX)
-
-
-def _open_map(path: Path) -> mmap.mmap:
+    Raises:
+        RecordingError: it cannot be read, or is no MCAP file.
+    """
     try:
         with path.open("rb") as file:
             if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
