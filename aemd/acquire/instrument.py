@@ -9,14 +9,24 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aemd.errors import ConfigError, not_among
 
-__all__ = ["Clock", "Drain", "Driver", "Instrument", "Simulator", "find_driver", "find_simulator"]
+__all__ = [
+    "Clock",
+    "Drain",
+    "Driver",
+    "Instrument",
+    "Recoverable",
+    "Recovery",
+    "Simulator",
+    "find_driver",
+    "find_simulator",
+]
 
 Clock = Callable[[], int]
 """Host monotonic time, ns (`time.monotonic_ns`); an argument everywhere, so that a test can move it."""
@@ -44,6 +54,20 @@ class Drain:
     """The instrument could not keep its interval somewhere since the last look."""
     messages: tuple[str, ...] = ()
     """What the instrument's error queue held, one line each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """What an instrument was found to be like once its link was there again. Its readings are as they were."""
+
+    sampling: bool
+    """It says that it is sampling still."""
+    settings_kept: bool
+    """It has every setting it was given; if not, its memory holds nothing of ours, and `start` restores them."""
+    torn: int
+    """Readings that left its memory by an exchange whose answer never came whole: lost, exactly so many."""
+    how: str
+    """What brought the link back, in a few words."""
 
 
 class Instrument(Protocol):
@@ -92,6 +116,24 @@ class Instrument(Protocol):
 
     def close(self) -> None:
         """Give the instrument back to the person before it (display, local) and close the link. Twice is fine."""
+
+
+@runtime_checkable
+class Recoverable(Protocol):
+    """A way back after an InstrumentError, which an instrument may have; without it that ends the acquisition."""
+
+    def recover(self, *, afresh: bool = False) -> Recovery:
+        """Try once, within a few timeouts, to have the link in step again; neither starts, stops nor drains anything.
+
+        The next attempt may try something stronger. Afterwards `drain` goes on where it failed, or, where the
+        instrument no longer samples, takes what is left until `start` begins anew.
+
+        Args:
+            afresh: count the settings as lost, for an instrument that answers but does nothing.
+
+        Raises:
+            InstrumentError: not yet.
+        """
 
 
 class Driver(Protocol):

@@ -1,4 +1,4 @@
-"""The dialogue with the meter: identify, configure, read back, stream, give back.
+"""The meter: identify, configure, read back, stream, find again after a failure, give back.
 
 The stream has no gaps because the meter paces and stores it by itself: its sample timer starts each reading, its
 memory takes them (oldest overwritten when full, Questionable Data bit 14), and `R? n` takes out and erases the oldest
@@ -6,51 +6,63 @@ n while sampling goes on. One trigger gives SAMP:COUN readings, at most 50,000; 
 and with it the timer anew (34410A manual, PRH 787, 795, 1791).
 """
 
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from math import inf, nan
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aemd.acquire.instrument import Clock, Drain
+from aemd.acquire.instrument import Clock, Drain, Recovery
 from aemd.block import Status
 from aemd.errors import InstrumentError
+from agilent34410.dialogue import Dialogue, is_no_error
 from agilent34410.link import Link, open_link
+from agilent34410.models import LACKING, MEMORY_READINGS
 from agilent34410.options import Options
 
 __all__ = ["Meter", "open_instrument"]
-
-MEMORY_READINGS = {"34410A": 50_000, "34411A": 1_000_000, "L4411A": 1_000_000, "34461A": 10_000, "34465A": 50_000}
-"""Models that know every command used here, and the readings that their memory holds."""
 
 OVERLOAD_V = 9.9e37
 """What the meter sends, with the sign, of an input beyond 120 % of the range (PRH 651)."""
 
 TIMING_VIOLATION = 1 << 2  # Questionable Data: a sample timer event came before the reading was done (PRH 1517)
 MEMORY_OVERFLOW = 1 << 14  # Questionable Data: readings were overwritten; no error is queued (PRH 1791)
+MEASURING_OR_WAITING = 1 << 4 | 1 << 5  # Standard Operation condition: the trigger system is not idle
 
 ERROR_QUEUE_ENTRIES = 20  # then the last becomes -350, so more questions than this find it empty
 ERRORS_EVERY_NS = 1_000_000_000  # the queue is a second opinion: the stream's own faults are status bits
 
-LOOK = "DATA:POIN?;:STAT:QUES:EVEN?"
-"""How many readings wait and what went wrong, in one exchange; asking for the event register clears it."""
 
-
-def open_instrument(resource: str, options: Options, clock: Clock) -> "Meter":
+def open_instrument(
+    resource: str, options: Options, clock: Clock, open_line: Callable[[], Link] | None = None
+) -> "Meter":
     """Open the link, make sure of the instrument, configure it and read everything back.
+
+    Args:
+        resource: the meter's VISA resource.
+        options: its settings.
+        clock: host monotonic time, ns.
+        open_line: opens a line to it, now and after a failure; None for pyvisa's.
 
     Raises:
         InstrumentError: nobody answers, it is another instrument, it refused a setting, or it cannot keep the interval.
     """
-    link = open_link(resource, options.timeout_s)
+
+    def open_visa() -> Link:
+        return open_link(resource, options.timeout_s, options.serial_line)
+
+    opener = open_visa if open_line is None else open_line
+    link = opener()
     try:
-        identity = _identify(link)
-        memory_readings = MEMORY_READINGS[identity["model"]]
+        if resource.upper().startswith("USB"):
+            link.clear()  # a USB line keeps what a program that was killed had asked for, and gives it to the next
+        answer = link.query("*IDN?")
+        identity = _identify(answer, link.resource)
+        dialogue = Dialogue(opener, link, answer)
     except BaseException:
         link.close()  # and say nothing more to a stranger
         raise
-    meter = Meter(link, identity, memory_readings, options, clock)
+    meter = Meter(dialogue, identity, MEMORY_READINGS[identity["model"]], options, clock)
     try:
         meter.configure()
     except BaseException:
@@ -63,7 +75,7 @@ class Meter:
     """A 34410A or one of its kin, as `aemd.acquire.instrument.Instrument`; made by `open_instrument`."""
 
     def __init__(
-        self, link: Link, identity: Mapping[str, str], memory_readings: int, options: Options, clock: Clock
+        self, dialogue: Dialogue, identity: Mapping[str, str], memory_readings: int, options: Options, clock: Clock
     ) -> None:
         self.identity = identity
         self.memory_readings = memory_readings
@@ -71,10 +83,17 @@ class Meter:
         self.interval_s = 0.0
         self.sample_delay_s = 0.0
         self.epoch_readings = 0
-        self._link = link
+        self._dialogue = dialogue
         self._options = options
         self._clock = clock
         self._errors_asked_ns = 0
+        self._settings_lost = False
+        # What a look found and no Drain has told of yet: the question clears it in the meter, and the link may fail
+        # before the readings of the same look are here.
+        self._overflowed = False
+        self._late = False
+        self._messages: tuple[str, ...] = ()
+        self._events_unseen = self._lost_events = False
         self._closed = False
 
     def configure(self) -> None:
@@ -83,11 +102,11 @@ class Meter:
         Raises:
             InstrumentError: the meter refused a setting, or the interval is too short for its aperture.
         """
-        link, options = self._link, self._options
+        options = self._options
         commands = _commands(options)
         for command in commands:
-            self._command(command)
-        answers = {question: link.query(question) for question in _questions(options)}
+            self._dialogue.command(command)
+        answers = self._read_settings()
         self.settings = {"commands": "; ".join(commands), **answers}
         self.interval_s = self._number(answers, "SAMP:TIM?")
         self.epoch_readings = int(self._number(answers, "SAMP:COUN?"))
@@ -105,10 +124,20 @@ class Meter:
         """Begin sampling; INIT clears the memory, the question before it the events of an earlier stream.
 
         Raises:
-            InstrumentError: the meter refused, or the link failed.
+            InstrumentError: the meter refused, the link failed, or its settings were lost and do not come back.
         """
-        self._link.query("STAT:QUES:EVEN?")
-        self._command("INIT")
+        if self._settings_lost:
+            before = self.interval_s, self.epoch_readings
+            self.configure()
+            if before != (self.interval_s, self.epoch_readings):
+                self.interval_s, self.epoch_readings = before
+                raise InstrumentError(f"{self._dialogue.resource}: the meter does not take its settings again")
+            self._settings_lost = False
+        self._dialogue.ask("STAT:QUES:EVEN?")
+        self._overflowed = self._late = self._events_unseen = self._lost_events = False
+        self._dialogue.begin_journal()
+        self._dialogue.command("ABOR")  # idle already, unless an earlier INIT was obeyed and its answer lost
+        self._dialogue.command("INIT")
 
     def drain(self, most: int) -> Drain:
         """Take up to `most` readings out of the memory, oldest first.
@@ -117,23 +146,34 @@ class Meter:
             InstrumentError: the link failed, or the meter's answers contradict each other.
         """
         asked_ns = self._clock()
-        answer = self._link.query(LOOK)
+        if asked_ns - self._errors_asked_ns >= ERRORS_EVERY_NS:
+            self._errors_asked_ns = asked_ns
+            self._messages += self._take_errors()  # before the readings: these must not be lost with them
+            asked_ns = self._clock()
+        self._events_unseen = True
+        look = self._dialogue.look()
         answered_ns = self._clock()
-        waiting, questionable = self._integers(answer)
-        count = min(most, waiting)
-        values_V, status = self._take(count) if count > 0 else _decode(b"")
-        received_ns = self._clock()
-        return Drain(
+        # A memory that was full when an answer was lost is full still, and that answer may have told why.
+        full = look.waiting >= self.memory_readings
+        self._overflowed |= bool(look.questionable & MEMORY_OVERFLOW) or (full and self._lost_events)
+        self._late |= bool(look.questionable & TIMING_VIOLATION)
+        self._events_unseen = self._lost_events = False
+        count = min(most, look.waiting)
+        values_V, status = _decode(self._dialogue.take(count) if count > 0 else b"")
+        drain = Drain(
             values_V=values_V,
             status=status,
-            waiting=waiting,
+            waiting=look.waiting,
             asked_ns=asked_ns,
             answered_ns=answered_ns,
-            received_ns=received_ns,
-            overflowed=bool(questionable & MEMORY_OVERFLOW),
-            late=bool(questionable & TIMING_VIOLATION),
-            messages=self._errors_if_due(received_ns),
+            received_ns=self._clock(),
+            overflowed=self._overflowed,
+            late=self._late,
+            messages=self._messages,
         )
+        self._overflowed = self._late = False
+        self._messages = ()
+        return drain
 
     def stop(self) -> None:
         """End sampling; the memory stays readable.
@@ -141,40 +181,49 @@ class Meter:
         Raises:
             InstrumentError: the link failed.
         """
-        self._command("ABOR")
+        self._dialogue.command("ABOR")
+
+    def recover(self, *, afresh: bool = False) -> Recovery:
+        """Try the next rung of the ladder (`Dialogue.restore`), and look at what state the meter is in.
+
+        Only questions are sent, which change nothing: above all no INIT, which would clear the memory.
+
+        Args:
+            afresh: count the settings as lost.
+
+        Raises:
+            InstrumentError: not yet.
+        """
+        self._lost_events |= self._events_unseen
+        self._events_unseen = False
+        how = self._dialogue.restore()
+        condition = self._number({"COND": self._dialogue.ask("STAT:OPER:COND?")}, "COND", least=0.0)
+        found, known = self._read_settings(), self.settings
+        # The shortest interval depends on what the meter is doing; it is asked for once, to judge ours.
+        kept = all(found[question] == known[question] for question in found if question != "SAMP:TIM? MIN")
+        self._settings_lost |= afresh or self._dialogue.is_restarted or not kept
+        return Recovery(
+            sampling=bool(int(condition) & MEASURING_OR_WAITING) and not self._settings_lost,
+            settings_kept=not self._settings_lost,
+            torn=self._dialogue.take_torn(),
+            how=how,
+        )
 
     def close(self) -> None:
         """Stop, light the display, unlock the front panel, close the link; a dead link is no reason to complain."""
         if self._closed:
             return
         self._closed = True
-        with suppress(InstrumentError):
-            self._link.query("ABOR;:DISP ON;*OPC?")  # the answer tells that it was heard before the link goes
-            self._link.write("SYST:LOC")
-        self._link.close()
+        self._dialogue.farewell("SYST:LOC")
 
-    def _command(self, command: str) -> None:
-        refusal = self._link.query(f"{command};:SYST:ERR?")
-        if not _is_no_error(refusal):
-            raise InstrumentError(f"{self._link.resource}: {command}: the meter refused: {refusal}; see its manual")
+    def _read_settings(self) -> dict[str, str]:
+        return {question: self._dialogue.ask(question) for question in _questions(self._options)}
 
-    def _take(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
-        block = self._link.query_block(f"R? {count}")
-        if len(block) != 8 * count:
-            raise InstrumentError(
-                f"{self._link.resource}: R? {count}: {len(block)} bytes came instead of {8 * count};"
-                " is another program reading the meter's memory? close it and start again"
-            )
-        return _decode(block)
-
-    def _errors_if_due(self, now_ns: int) -> tuple[str, ...]:
-        if now_ns - self._errors_asked_ns < ERRORS_EVERY_NS:
-            return ()
-        self._errors_asked_ns = now_ns
+    def _take_errors(self) -> tuple[str, ...]:
         messages: list[str] = []
         for _ in range(ERROR_QUEUE_ENTRIES + 1):
-            message = self._link.query("SYST:ERR?")
-            if _is_no_error(message):
+            message = self._dialogue.ask("SYST:ERR?")
+            if is_no_error(message):
                 break
             messages.append(message)
         return tuple(messages)
@@ -186,46 +235,37 @@ class Meter:
             return
         zero = " and its zero" if autozero else ""
         raise InstrumentError(
-            f"{self._link.resource}: interval_s = {self.interval_s:g}: a reading{zero} takes {factor} x"
+            f"{self._dialogue.resource}: interval_s = {self.interval_s:g}: a reading{zero} takes {factor} x"
             f" {aperture_s * 1e3:g} ms ({source}), and the meter's least interval is {shortest_s * 1e3:g} ms;"
             f" ask for {needed_s:g} s or more, a shorter aperture{', or autozero off' if autozero else ''}"
         )
 
-    def _number(self, answers: Mapping[str, str], question: str) -> float:
+    def _number(self, answers: Mapping[str, str], question: str, least: float = 1e-9) -> float:
         try:
             number = float(answers[question])
         except ValueError:
             number = nan
-        if not 0 < number < inf:
+        if not least <= number < inf:
             raise InstrumentError(
-                f"{self._link.resource}: {question}: the answer {answers[question]!r} is not a number above 0;"
+                f"{self._dialogue.resource}: {question}: the answer {answers[question]!r} is not a number above 0;"
                 " switch the meter off and on"
             )
         return number
 
-    def _integers(self, answer: str) -> tuple[int, int]:
-        try:
-            waiting, questionable = (int(float(field)) for field in answer.split(";"))
-            if waiting < 0 or questionable < 0:
-                raise ValueError(answer)  # noqa: TRY301 - one message for every kind of nonsense
-        except (ValueError, OverflowError) as error:
-            raise InstrumentError(
-                f"{self._link.resource}: {LOOK}: the answer {answer!r} is not two numbers; start again"
-            ) from error
-        return waiting, questionable
 
-
-def _identify(link: Link) -> dict[str, str]:
-    answer = link.query("*IDN?")
+def _identify(answer: str, resource: str) -> dict[str, str]:
     fields = [field.strip() for field in answer.split(",")]
-    if len(fields) != 4 or fields[1] not in MEMORY_READINGS:
+    model = fields[1] if len(fields) == 4 else ""
+    if model in LACKING:
         raise InstrumentError(
-            f"{link.resource}: this is {answer!r}, not one of {', '.join(MEMORY_READINGS)}; check the address"
+            f"{resource}: this is {answer!r}: {LACKING[model]}, so equal intervals without a gap cannot be had of it;"
+            f" use one of {', '.join(MEMORY_READINGS)}"
         )
-    return {
-        **dict(zip(("manufacturer", "model", "serial", "firmware"), fields, strict=True)),
-        "resource": link.resource,
-    }
+    if model not in MEMORY_READINGS:
+        raise InstrumentError(
+            f"{resource}: this is {answer!r}, not one of {', '.join(MEMORY_READINGS)}; check the address"
+        )
+    return {**dict(zip(("manufacturer", "model", "serial", "firmware"), fields, strict=True)), "resource": resource}
 
 
 def _commands(options: Options) -> list[str]:
@@ -270,10 +310,6 @@ def _questions(options: Options) -> list[str]:
         "FORM:BORD?",
         "SYST:LFR?",
     ]
-
-
-def _is_no_error(answer: str) -> bool:
-    return answer.lstrip("+").startswith("0,")
 
 
 def _decode(block: bytes) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:

@@ -1,9 +1,10 @@
 """What a config may set of the meter, with the bounds of its manual."""
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le
+from pyvisa.constants import ControlFlow, Parity
 
 __all__ = ["Options"]
 
@@ -41,8 +42,23 @@ class Options:
     """Time between readings, s; the meter rounds it to its grid and what it answers counts."""
     timeout_s: Annotated[float, Gt(0.0), Le(60.0)] = 2.0
     """Longest wait for an answer, s."""
+    baud_rate: Annotated[int, Ge(300), Le(4_000_000)] = 9600
+    """Of a serial line, such as a GPIB adapter's, bit/s."""
+    parity: Literal["none", "even", "odd"] = "none"
+    """Of a serial line; always 8 data bits, because readings come as 8-bit bytes."""
+    flow_control: Literal["none", "rts_cts", "dtr_dsr"] = "none"
+    """Of a serial line; never by characters, which a reading's bytes may be."""
     display: bool = True
     """Keep the meter's display on; off saves it some time at high rates."""
+
+    @property
+    def serial_line(self) -> dict[str, Any]:
+        """What pyvisa is told of a serial line."""
+        return {
+            "baud_rate": self.baud_rate,
+            "parity": Parity[self.parity],
+            "flow_control": ControlFlow[self.flow_control],
+        }
 
     def __post_init__(self) -> None:
         _refuse_unlisted("range_V", self.range_V, RANGES_V)

@@ -17,7 +17,7 @@ def test_a_line_and_a_block_come_back_whole_with_every_byte_value() -> None:
     with stranger(lambda line: b"#%d%d%s\n" % (len(str(len(content))), len(content), content)) as resource:
         link = opened(resource)
 
-        assert link.query_block("R?") == content
+        assert link.query_block("R?", len(content)) == (content, "")
         link.close()
 
 
@@ -25,7 +25,7 @@ def test_an_empty_block_leaves_the_line_in_step() -> None:
     with stranger(lambda line: b"#10\n" if line == b"R?" else b"later\n") as resource:
         link = opened(resource)
 
-        assert link.query_block("R?") == b""
+        assert link.query_block("R?", 0) == (b"", "")
         assert link.query("*IDN?") == "later"
         link.close()
 
@@ -46,10 +46,11 @@ def test_a_block_that_is_not_whole_is_one_clear_error_within_the_timeout(answer:
         begun = time.monotonic()
 
         with pytest.raises(InstrumentError, match=re.escape(what)) as caught:
-            link.query_block("R? 100")
+            link.query_block("R? 100", 800)
         assert str(caught.value).startswith(f"{resource}: R? 100: ")
         assert "\n" not in str(caught.value)
         assert time.monotonic() - begun < 1.0
+        link.close()
 
 
 def test_a_refused_port_is_found_out_by_the_first_question() -> None:
@@ -70,15 +71,50 @@ def test_a_peer_that_hangs_up_is_an_error_within_the_timeout() -> None:
             link.query("*IDN?")
 
 
-def test_a_link_that_failed_is_not_used_again_so_that_no_late_answer_is_taken_for_another() -> None:
-    with stranger(lambda line: b"") as resource:
+def test_a_link_that_failed_is_used_again_only_after_what_came_late_was_thrown_away() -> None:
+    def answer(line: bytes) -> bytes:
+        if line == b"slow":
+            time.sleep(0.5)
+        return b"to " + line + b"\n"
+
+    with stranger(answer) as resource:
+        link = opened(resource)
+        with pytest.raises(InstrumentError, match="no whole answer"):
+            link.query("slow")
+        with pytest.raises(InstrumentError, match="the link has failed; drain it or open it again"):
+            link.query("quick")
+        time.sleep(0.3)  # the late answer is here
+        link.drain()
+
+        assert link.query("quick") == "to quick"
+        link.close()
+        with pytest.raises(InstrumentError, match="the link is closed; open it again"):
+            link.query("quick")
+
+
+@pytest.mark.timeout(20)
+def test_draining_a_line_whose_other_end_has_gone_ends_and_closes_it() -> None:
+    with stranger(lambda line: None) as resource:
+        link = opened(resource)
+        with pytest.raises(InstrumentError, match="the other end has closed the connection"):
+            link.query("*IDN?")
+
+        assert not link.is_open
+        with pytest.raises(InstrumentError, match="the link is closed"):
+            link.drain()
+
+
+def test_a_line_that_is_not_quiet_is_not_drained_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agilent34410.link.MOST_DRAIN_S", 0.01)
+    much = b"x" * 100_000_000
+    with stranger(lambda line: much) as resource:
         link = opened(resource)
         with pytest.raises(InstrumentError):
             link.query("*IDN?")
+        with pytest.raises(InstrumentError, match="it goes on sending what nobody asked for"):
+            link.drain()
 
-        with pytest.raises(InstrumentError, match="the link is closed; open it again"):
-            link.query("*IDN?")
-        link.close()
+        assert not link.is_open
 
 
 @pytest.mark.parametrize(
