@@ -7,7 +7,7 @@ Only the server knows sockets and threads; everything before it takes the time f
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,11 +24,11 @@ from sim34410.converter import Input
 from sim34410.faults import Fault, draw_faults
 from sim34410.meter import Meter, MeterProperties
 from sim34410.playback import read_playback
-from sim34410.server import serve_meter
+from sim34410.server import serve_bench, serve_meter
 from sim34410.simulated_link import SimulatedLink
 
 __all__ = ["Bench", "Fault", "Input", "Meter", "MeterProperties", "Options", "SimulatedLink", "SteppedClock"]
-__all__ += ["draw_faults", "make_bench", "make_meter", "serve", "serve_meter"]
+__all__ += ["draw_faults", "make_bench", "make_meter", "serve", "serve_bench", "serve_links", "serve_meter"]
 
 SENSOR: tuple[Term, ...] = (
     GaussMarkov.from_sd(sd_V=2e-3, tau_s=5.0, role="signal"),
@@ -121,5 +121,14 @@ def serve(options: Options, host: str, port: int) -> Iterator[str]:
         InstrumentError: the port is taken.
         RecordingError: the recording to be played cannot be read.
     """
-    with serve_meter(make_meter(options), host, port, time.monotonic_ns) as resource:
-        yield resource
+    with serve_bench(make_bench(options), host, port=port) as resources:
+        yield resources["socket"]
+
+
+@contextmanager
+def serve_links(
+    options: Options, host: str, *, port: int | None, vxi11_port: int | None, serial: bool
+) -> Iterator[Mapping[str, str]]:
+    """Serve the simulated meter on several links at once; see `serve_bench`, and `serve` for what is raised."""
+    with serve_bench(make_bench(options), host, port=port, vxi11_port=vxi11_port, serial=serial) as resources:
+        yield resources

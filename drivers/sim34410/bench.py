@@ -57,6 +57,8 @@ class Bench:
         self.meter = meter
         self.clock = clock
         self.lock = RLock()
+        self.hang_ups = 0
+        """How often every connection was ended."""
         self._vxi11_clears = vxi11_clears
         self._lines: set[Line] = set()
         self._spoiler = Spoiler()
@@ -158,6 +160,7 @@ class Bench:
             self._spoiler.arm(fault, end_ns)
 
     def _hang_up(self, *, noticed: bool) -> None:
+        self.hang_ups += 1
         for line in list(self._lines):
             line.hang_up(noticed=noticed)
 
@@ -184,13 +187,18 @@ class Line:
         self._bench = bench
         self._session = Session(bench.meter, needs_remote=link == "serial" and bench.meter.member.needs_remote)
         self._messages: deque[Message] = deque()
+        self._has_lost = False
         self._is_messages = link in ("vxi11", "usb")
 
     def receive(self, received: bytes) -> None:
         """Take bytes from the client, in any pieces."""
         self._bench.advance()
-        if self.is_closed or not self._bench.hear():
+        if self.is_closed:
             return
+        self._has_lost = not self._bench.hear()
+        if self._has_lost:
+            return
+        self._forget_what_was_read()
         if self._is_messages and self._messages:  # IEEE 488.2, 6.3.2.3: a new message ends an answer that was not read
             self._messages.clear()
             self._bench.meter.report(INTERRUPTED)
@@ -200,10 +208,7 @@ class Line:
     def message(self) -> Message | None:
         """The reply that can be read now; what is read has to be taken from its content. None when there is none."""
         self.look()
-        while self._messages and not self._messages[0].content:
-            if not self._messages[0].whole and self._is_messages:
-                return None  # the rest never comes, nor anything behind it, until the line is cleared
-            self._messages.popleft()
+        self._forget_what_was_read()
         first = self._messages[0] if self._messages else None
         return first if first and first.due_ns <= self._bench.clock() else None
 
@@ -218,6 +223,7 @@ class Line:
     @property
     def is_answering(self) -> bool:
         """Whether there is something to be read, now or later."""
+        self._forget_what_was_read()
         return bool(self._messages) or self._session.waiting
 
     @property
@@ -245,8 +251,15 @@ class Line:
         self._messages.clear()
 
     def unterminated(self) -> None:
-        """Note that the client reads though it asked nothing."""
-        self._bench.meter.report(UNTERMINATED)
+        """Note that the client reads though it asked nothing, unless the meter believes to have answered."""
+        if not self._has_lost:
+            self._bench.meter.report(UNTERMINATED)
+
+    @property
+    def status_byte(self) -> int:
+        """The status byte, with bit 4 where a message is available."""
+        self.look()
+        return self._bench.meter.status_byte | 16 * (self.message is not None)
 
     def hang_up(self, *, noticed: bool = True) -> None:
         """End the line from the meter's side, or because the cable is out, which the meter does not notice."""
@@ -260,11 +273,16 @@ class Line:
         """End the line, as the client does; twice is fine."""
         self.hang_up()
 
+    def _forget_what_was_read(self) -> None:
+        while self._messages and not self._messages[0].content:
+            self._messages.popleft()
+
     def _pass_on(self, reply: bytes) -> None:
         if not reply:
             return
         message = self._bench.spoil(reply)
         if message is None:
+            self._has_lost = True
             return
         if self._messages:  # nothing overtakes
             message.due_ns = max(message.due_ns, self._messages[-1].due_ns)

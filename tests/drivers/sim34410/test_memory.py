@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim34410.memory import Fate, ReadingMemory
+from sim34410.memory import ReadingMemory
 
 MEMORY_READINGS = 50_000
 
