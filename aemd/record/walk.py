@@ -3,7 +3,7 @@
 import struct
 from collections.abc import Iterator
 from io import BytesIO
-from mmap import mmap
+from mmap import MADV_DONTNEED, PAGESIZE, mmap
 from typing import NamedTuple, TypeVar, cast
 
 from mcap.data_stream import ReadDataStream
@@ -22,6 +22,8 @@ DAMAGED = 0x80
 _FOOTER = bytes([Opcode.FOOTER]) + (20).to_bytes(8, "little")
 _END_BYTES = len(_FOOTER) + 20 + len(MCAP0_MAGIC)
 
+_KEPT_BYTES = 8 << 20  # of the file, in memory at a time
+
 _AnyRecord = TypeVar("_AnyRecord", bound=McapRecord)
 
 
@@ -36,8 +38,17 @@ class Record(NamedTuple):
 
 
 def walk(octets: mmap, at: int = len(MCAP0_MAGIC)) -> Iterator[Record]:
-    """Yield every whole record from this byte on, to the footer or to where there is none."""
+    """Yield every whole record from this byte on, to the footer or to where there is none.
+
+    What lies behind is given back to the kernel now and then: else a file that has been read through would count as
+    this program's memory, however large.
+    """
+    kept_from = at
     while at + FRAME.size <= len(octets):
+        if at - kept_from > _KEPT_BYTES:
+            kept_from -= kept_from % PAGESIZE
+            octets.madvise(MADV_DONTNEED, kept_from, (at - kept_from) // PAGESIZE * PAGESIZE)
+            kept_from = at
         opcode, length = FRAME.unpack_from(octets, at)
         end = at + FRAME.size + length
         if opcode == 0 or end > len(octets):  # zeros are what a file system leaves where a write got lost
@@ -48,7 +59,7 @@ def walk(octets: mmap, at: int = len(MCAP0_MAGIC)) -> Iterator[Record]:
         at = end
 
 
-def parse(kind: type[_AnyRecord], octets: mmap, record: Record) -> _AnyRecord:
+def parse(kind: type[_AnyRecord], octets: mmap | bytes, record: Record) -> _AnyRecord:
     """Return the record as the mcap package's class.
 
     Raises:
