@@ -22,6 +22,8 @@ Bounds = tuple[float, float]
 
 _SLOWEST_DECAY = 0.02
 """Of the span: a shock that decays more slowly is a step or a drift."""
+_DECAY_STEPS = 30.0
+"""Intervals, about two seconds, that a shock may always take to decay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,6 +215,6 @@ def base_start_with_shocks(data: Data, theta: Floats, rate_per_s: float, sd: flo
             *base_box(data),
             (log(0.1 / span), log(0.5 / step)),
             (log(0.3), log(1e6)),
-            (log(0.2 * step), log(max(_SLOWEST_DECAY * span, step))),
+            (log(0.2 * step), log(max(_SLOWEST_DECAY * span, _DECAY_STEPS * step))),
         ),
     )

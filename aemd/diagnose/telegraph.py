@@ -20,6 +20,7 @@ Floats = NDArray[np.float64]
 
 
 def follow_telegraph(
+    telegraph: Floats,
     y: Floats,
     used: NDArray[np.bool_],
     step_s: Floats,
@@ -27,19 +28,19 @@ def follow_telegraph(
     noise_var: Floats,
     scale: Floats,
     states: Floats,
-    telegraph: Floats,
+    *_: Floats,
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return for each reading its log density, z, predicted mean, variance, and the gains, as `kernels.predict` does.
 
     Args:
-        y: readings, shape (n,), and so on to `states`, as of `kernels.log_densities`; without shocks.
+        telegraph: the step, and the mean stays below and above it, s.
+        y: readings, shape (n,), and so on to `states`, as of `kernels.log_densities`; shocks and extras are left out.
         used: see `y`.
         step_s: see `y`.
         mean: see `y`.
         noise_var: see `y`.
         scale: see `y`.
         states: see `y`.
-        telegraph: the step, and the mean stays below and above it, s.
     """
     n = y.size
     each, cdf, predicted, variance = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)

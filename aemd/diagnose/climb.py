@@ -1,0 +1,166 @@
+"""The likelihood of a hypothesis, and the way up it: one start, or several that race."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aemd.diagnose.hypothesis import Data, Parts, Term
+from aemd.diagnose.kernels import log_densities
+from aemd.diagnose.telegraph import follow_telegraph
+
+__all__ = [
+    "HOPELESS",
+    "Climb",
+    "assemble",
+    "climb",
+    "densities",
+    "race",
+    "readings_scores",
+    "score_log_likelihood",
+    "sharpened",
+    "split",
+]
+
+Floats = NDArray[np.float64]
+
+_IMPOSSIBLE = 1e9  # nats a reading that what cannot be computed costs
+_LONGEST_STEP = 1.5  # of any free number at once; most are logarithms
+_CONVERGED = 1e-2  # nats that are not worth another step
+_CONVERGED_PER_READING = 3e-7  # in a long record a hundredth of a nat is far below what can be told
+_FREE = 1e-2  # damping above which a small gain may be a short step's and not the top's
+_DIFFERENCE = 1e-5  # of a free number, for the derivatives
+HOPELESS = 20.0
+"""Nats behind the best, after what may still come, from which a start is given up."""
+_STILL_TO_COME = 3.0  # times its last step's gain that a start is given credit for; steps gain less and less
+
+
+def split(terms: Sequence[Term], theta: Floats) -> list[Floats]:
+    """Return each term's free numbers."""
+    return np.split(theta, np.cumsum([term.start.size for term in terms])[:-1])
+
+
+def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[float, Floats | None, tuple[Any, ...]]:
+    """Return the share that a smoothing keeps, what jumps to and fro, and the filter's arguments after the data."""
+    parts = Parts(np.zeros(data.y.size), np.zeros(data.y.size), np.ones(data.y.size))
+    for term, numbers in zip(terms, split(terms, theta), strict=True):
+        term.add(numbers, data, parts)
+    states = np.array(parts.states, np.float64)
+    arguments = (parts.mean, parts.noise_var, parts.scale, states, parts.shocks, parts.extras)
+    return parts.kept, parts.telegraph, arguments
+
+
+def sharpened(data: Data, kept: float) -> tuple[Floats, Floats | float]:
+    """Return the readings before a smoothing, and the logarithm of the density's factor for each, shape (n,).
+
+    After a gap the smoothed reading stands for itself.
+    """
+    if kept == 0.0:
+        return data.y, 0.0
+    direct = data.used.copy()
+    direct[0] = False
+    direct[1:] &= data.used[:-1] & (np.diff(data.slot) == 1)
+    before = np.concatenate(([0.0], data.y[:-1]))
+    return np.where(direct, (data.y - kept * before) / (1 - kept), data.y), np.where(direct, -np.log1p(-kept), 0.0)
+
+
+def score_log_likelihood(terms: Sequence[Term], theta: Floats, data: Data) -> float:
+    """Return the log-likelihood of the scaled readings."""
+    return float(densities(terms, theta, data).sum())
+
+
+def densities(terms: Sequence[Term], theta: Floats, data: Data) -> Floats:
+    """Return the log density of each scaled reading, shape (n,)."""
+    kept, telegraph, arguments = assemble(terms, theta, data)
+    y, factor = sharpened(data, kept)
+    if telegraph is None:
+        each = log_densities(y, data.used, data.step_s, *arguments) + factor
+    else:
+        each = follow_telegraph(telegraph, y, data.used, data.step_s, *arguments)[0] + factor
+    return each if np.isfinite(each).all() else np.full(each.size, -_IMPOSSIBLE)
+
+
+def readings_scores(terms: Sequence[Term], theta: Floats, data: Data, here: Floats, high: Floats) -> Floats:
+    """Return the derivative of each reading's log density by each free number, shape (n, k)."""
+    scores = np.empty((here.size, theta.size))
+    for number in range(theta.size):
+        aside = theta.copy()
+        width = _DIFFERENCE if theta[number] + _DIFFERENCE <= high[number] else -_DIFFERENCE
+        aside[number] += width
+        scores[:, number] = (densities(terms, aside, data) - here) / width
+    return scores
+
+
+class Climb:
+    """One start on its way to a local maximum of the likelihood.
+
+    Each step is the score over the outer product of the readings' own scores (Berndt, Hall, Hall and Hausman 1974),
+    damped as Levenberg and Marquardt damp least squares; the scores are differences of the readings' log densities, so
+    a step costs one pass of the filter per free number.
+    """
+
+    def __init__(self, terms: Sequence[Term], start: Floats, data: Data, cost_nats: float = 0.0) -> None:
+        """Begin at `start`; `cost_nats` counts against this hypothesis in a race."""
+        self.terms, self.cost_nats, self._data = terms, cost_nats, data
+        self._low, self._high = (
+            np.array([bound for term in terms for bound in term.bounds], np.float64).reshape(-1, 2).T
+        )
+        self.theta = np.clip(start, self._low, self._high)
+        self._here = densities(terms, self.theta, data)
+        self.value = float(self._here.sum())
+        self.gained = np.inf
+        """By the last step, nats."""
+        self.done = not self.theta.size
+        self._damping = 1e-3
+
+    @property
+    def worth(self) -> float:
+        """Log-likelihood less cost."""
+        return self.value - self.cost_nats
+
+    def step(self) -> None:
+        """Take one step, or say that there is none worth taking."""
+        enough = max(_CONVERGED, _CONVERGED_PER_READING * self._data.n)
+        scores = readings_scores(self.terms, self.theta, self._data, self._here, self._high)
+        gradient, curvature = scores.sum(axis=0), scores.T @ scores
+        pinned = ((self.theta <= self._low) & (gradient < 0)) | ((self.theta >= self._high) & (gradient > 0))
+        gradient[pinned] = 0.0
+        curvature[pinned], curvature[:, pinned] = 0.0, 0.0
+        scale = np.diag(curvature) + 1e-6
+        while self._damping < 1e6:
+            step = np.linalg.solve(curvature + np.diag(self._damping * scale), gradient)
+            step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-12))
+            trial = np.clip(self.theta + step, self._low, self._high)
+            promised = float(gradient @ (trial - self.theta))
+            there = densities(self.terms, trial, self._data)
+            self.gained = float(there.sum()) - self.value
+            if self.gained > 0:
+                self.theta, self._here, self.value = trial, there, self.value + self.gained
+                self._damping = max(self._damping / 10.0, 1e-7)
+                self.done = self.gained < enough and promised < 10 * enough and self._damping < _FREE
+                return
+            self._damping *= 10.0
+            if promised < enough:
+                break
+        self.gained, self.done = 0.0, True
+
+
+def climb(terms: Sequence[Term], start: Floats, data: Data, iterations: int = 40) -> tuple[Floats, float]:
+    """Return the free numbers of a local maximum of the likelihood, and its value."""
+    (alone,) = race([Climb(terms, start, data)], iterations)
+    return alone.theta, alone.value
+
+
+def race(starts: Sequence[Climb], iterations: int) -> list[Climb]:
+    """Let starts climb together, give up those that fall hopelessly behind, and return the others, best first."""
+    left = list(starts)
+    for _ in range(iterations):
+        for one in left:
+            if not one.done:
+                one.step()
+        top = max(one.worth for one in left)
+        left = [one for one in left if one.worth + _STILL_TO_COME * one.gained >= top - HOPELESS]
+        if all(one.done for one in left):
+            break
+    return sorted(left, key=lambda one: -one.worth)
