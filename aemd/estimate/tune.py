@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from aemd.block import ESTIMATE, NOT_A_VALUE, Block
+from aemd.block import ESTIMATE, NOT_A_VALUE, Block, Status
 from aemd.errors import ConfigError
 from aemd.estimate.imm import ImmOptions, imm_model
 from aemd.estimate.imm_kernels import run_imm, start_imm
@@ -34,6 +34,9 @@ _PIECE = 2_500  # readings of each; the best kind is then fitted to the whole st
 _ABSENT = 1e-2  # standard deviation of a part that is not there, in units of the noise: nothing, but not singular
 _LEAST_RATE = 3.2  # of a swing, in noises over the length of the stretch: see _Likelihood._options
 _SHARP = 1000.0  # factor of the logarithm of a frequency: see _Likelihood
+_ROUNDS = 2  # of the search over many swings
+_PEAKS = 2  # in the spectrum of the errors, at which a further swing is tried
+_PEAK_WIDTH = 8  # of the spectrum's bins: the foot of a line under a Hann window, and some
 _DRASTIC = 5.0  # least standard deviation of the abrupt disturbance in units of the noise: less is not told from noise
 
 
@@ -117,7 +120,9 @@ def tune(
         tried.append(_extended(explored, min(tried)))
         parts += 1
     best = min(tried)
-    if explored is not whole:
+    if len(best.kind.signal) > 1:
+        best = _settled(whole, best)
+    elif explored is not whole:
         best = _fit(whole, best.kind, [best.theta])
     return Tuning(
         options=whole.options(best.kind, best.theta, interval_s, slow),
@@ -204,6 +209,18 @@ class _Likelihood:
             total += float(self._out["log_likelihood"][:ready].sum())
         return total
 
+    def errors(self, kind: Kind, theta: Floats) -> Floats:
+        """Return what the model foresees least: the noise that it ascribes to each reading of the longest stretch.
+
+        It is the one-step error times a constant, but of a disturbed reading next to nothing. What is in it besides
+        noise, the model lacks.
+        """
+        model = imm_model(self._options(kind, theta), 1.0)
+        columns = max(self._columns, key=lambda columns: columns[0].size)
+        ready = run_imm((0,) * model.cos.size, start_imm(model, 0), model, *columns, self._out)
+        rows, taken = self._out[:ready], self._out["status"][:ready] & Status.COASTED == 0
+        return np.asarray((columns[2][:ready] - rows["value_V"] - rows["u_V"])[taken])
+
     def bounds(self, kind: Kind) -> list[tuple[float, float]]:
         """Return the logarithms between which each parameter is sought."""
         spread = max(float(np.ptp(value)) for value in self.values) + 1.0
@@ -221,7 +238,7 @@ class _Likelihood:
             else:
                 found += [
                     (math.log(1e-2), math.log(10 * spread)),
-                    (math.log(_LEAST_RATE / self.size), math.log(100.0)),
+                    (math.log(_LEAST_RATE / self.size), math.log(1e5)),  # 100 of our units, if the noise is least
                     (-_SHARP * math.log(self.slowest), _SHARP * math.log(0.5)),
                 ]
         return found
@@ -330,9 +347,14 @@ def _loudest(likelihood: _Likelihood) -> float:
     return float(frequency[np.argmax(power)])
 
 
-def _fit(likelihood: _Likelihood, kind: Kind, starts: Sequence[Floats]) -> _Fit:
-    """Return the parameters of greatest likelihood."""
+def _fit(likelihood: _Likelihood, kind: Kind, starts: Sequence[Floats], free: NDArray[np.int64] | None = None) -> _Fit:
+    """Return the parameters of greatest likelihood; `free` are the numbers of those that are sought, if not all."""
     bounds = likelihood.bounds(kind)
+    if free is not None:  # a search leaves alone what may not move
+        bounds = [
+            bound if i in free else (value, value)
+            for i, (bound, value) in enumerate(zip(bounds, starts[0], strict=True))
+        ]
     low, high = np.transpose(bounds)
 
     def unlikely(theta: Floats) -> float:
@@ -356,15 +378,44 @@ def _fit(likelihood: _Likelihood, kind: Kind, starts: Sequence[Floats]) -> _Fit:
 
 
 def _extended(likelihood: _Likelihood, fit: _Fit) -> _Fit:
-    """Return the fit with one more swing, begun at the two most promising of some frequencies."""
+    """Return the fit with one more swing, begun where the errors of the fit so far swing most."""
     kind = Kind((*fit.kind.signal, "swing"), fit.kind.slow)
-    spread = max(float(np.std(value)) for value in likelihood.values)
-    starts = [
-        np.append(fit.theta, [math.log(spread / 3), math.log(0.5), _SHARP * math.log(frequency)])
-        for frequency in np.geomspace(2 / likelihood.slowest, 0.45, 12)
-    ]
-    starts.sort(key=lambda theta: -likelihood(kind, theta))
-    return _fit(likelihood, kind, starts[:2])
+    error = likelihood.errors(fit.kind, fit.theta)
+    sd, noise = float(np.std(error)), math.exp(fit.theta[0])
+    power = np.abs(np.fft.rfft(error * np.hanning(error.size))) ** 2
+    frequency = np.fft.rfftfreq(error.size)
+    power[(frequency < 1 / likelihood.slowest) | (frequency > 0.499)] = 0
+    starts = []
+    for _ in range(_PEAKS):
+        peak = frequency[np.argmax(power)]
+        power[np.abs(frequency - peak) < _PEAK_WIDTH / error.size] = 0
+        starts += [
+            np.append(fit.theta, [math.log(sd), math.log(rate), _SHARP * math.log(peak)])
+            for rate in (_LEAST_RATE / likelihood.size, 0.01, 0.3, 0.05 * sd / noise, 0.5 * sd / noise)
+        ]
+    best = max(starts, key=lambda theta: likelihood(kind, theta))
+    return _fit(likelihood, kind, [best], _free(best.size, 0))
+
+
+def _settled(likelihood: _Likelihood, fit: _Fit) -> _Fit:
+    """Return the fit after a search over each swing in turn, the last first, until a round gains little.
+
+    The time of a search over everything grows with the cube of the number of parts. Each in a band of its own moves
+    little but itself and the noise, so that a few rounds do.
+    """
+    for _ in range(_ROUNDS):
+        before = fit.criterion
+        for part in range(len(fit.kind.signal)):
+            fit = _fit(likelihood, fit.kind, [fit.theta], _free(fit.theta.size, part))
+        if before - fit.criterion < 1.0:  # nat: a factor of e in how probable all readings are together
+            break
+    return fit
+
+
+def _free(parameters: int, part: int) -> NDArray[np.int64]:
+    """Return the numbers of the noise, its memory, and what belongs to the last swing, or one `part` before it."""
+    first = parameters - 3 * (part + 1)
+    return np.r_[0, 4, first : first + 3]
 
 
 def _usable(block: Block) -> NDArray[np.bool_]:
