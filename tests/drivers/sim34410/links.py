@@ -11,6 +11,8 @@ from pyvisa.resources import MessageBasedResource
 from aemd.model import Truth
 from sim34410 import Bench, Options, make_bench, serve_bench
 from sim34410.meter import Meter, MeterProperties
+from sim34410.usb import UsbDevice
+from sim34410.usb_backend import plugged_in
 
 FULL = 50_000
 
@@ -52,8 +54,13 @@ def counting_bench(clock, faults=(), **properties) -> Bench:
 
 @contextmanager
 def served(bench: Bench | None = None) -> Iterator[dict[str, str]]:
-    with serve_bench(bench or make_bench(Options()), "127.0.0.1", port=0, vxi11_port=0, serial=True) as resources:
-        yield dict(resources)
+    bench = bench or make_bench(Options())
+    device = UsbDevice(bench)
+    with (
+        serve_bench(bench, "127.0.0.1", port=0, vxi11_port=0, serial=True) as resources,
+        plugged_in(device),
+    ):
+        yield {**resources, "usb": device.resource}
 
 
 @contextmanager

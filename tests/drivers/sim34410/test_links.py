@@ -8,7 +8,7 @@ from pyvisa.constants import BufferOperation, StatusCode
 from sim34410 import Fault
 from tests.drivers.sim34410.links import FULL, HandClock, RunningClock, counting_bench, read_block, served, visa
 
-LINKS = ["socket", "vxi11", "serial"]
+LINKS = ["socket", "vxi11", "usb", "serial"]
 IDENTITY = "Agilent Technologies,34410A,MY47006594,2.35-2.35-0.09-46-09"
 STREAM = (
     "CONF:VOLT:DC 10;:VOLT:APER 1E-4;:VOLT:ZERO:AUTO OFF;:TRIG:DEL 0;COUN INF;"
@@ -22,7 +22,9 @@ def test_it_is_identified(link):
         assert lines.open(resources[link]).query("*IDN?") == IDENTITY
 
 
-@pytest.mark.parametrize("link", ["socket", "vxi11"])  # pyvisa-py reads a serial line byte by byte: 10 s for a memory
+@pytest.mark.parametrize(
+    "link", ["socket", "vxi11", "usb"]
+)  # pyvisa-py reads a serial line byte by byte: 10 s for a memory
 def test_a_full_memory_arrives_whole_and_in_order(link):
     clock = HandClock()
     bench = counting_bench(clock)
@@ -61,7 +63,10 @@ def test_after_a_timeout_and_a_clear_question_and_answer_are_in_step_again(link)
             line.query("*IDN?")
         bench.clock.move(1000.0)
         lines.open(resources["socket"]).query("*STB?")  # now the server has sent it
-        if link == "serial":  # pyvisa-py has no clear for it
+        if link == "usb":  # pyvisa-py has no clear for it; the transfer was aborted when it timed out
+            assert line.query("*STB?") == "+4"  # an error waits:
+            assert line.query("SYST:ERR?") == '-410,"Query INTERRUPTED"'
+        elif link == "serial":  # nor for this
             line.flush(BufferOperation.discard_read_buffer)
         else:
             line.clear()
@@ -81,7 +86,9 @@ def test_a_late_answer_on_a_socket_is_taken_for_the_next_one_unless_it_is_cleare
         assert line.query("SYST:VERS?") == IDENTITY
 
 
-@pytest.mark.parametrize("links", [("socket", "socket"), ("vxi11", "vxi11"), ("socket", "vxi11"), ("vxi11", "serial")])
+@pytest.mark.parametrize(
+    "links", [("socket", "socket"), ("vxi11", "vxi11"), ("socket", "vxi11"), ("vxi11", "serial"), ("usb", "socket")]
+)
 def test_two_clients_are_served_at_once(links):
     with served() as resources, visa() as lines:
         one, other = (lines.open(resources[link]) for link in links)
@@ -90,17 +97,19 @@ def test_two_clients_are_served_at_once(links):
         assert one.read() == IDENTITY
 
 
-def test_a_question_before_the_answer_was_read_ends_it_on_a_link_that_knows_messages():
+@pytest.mark.parametrize("link", ["vxi11", "usb"])
+def test_a_question_before_the_answer_was_read_ends_it_on_a_link_that_knows_messages(link):
     with served() as resources, visa() as lines:
-        line = lines.open(resources["vxi11"])
+        line = lines.open(resources[link])
         line.write("*IDN?")
 
         assert line.query("SYST:ERR?") == '-410,"Query INTERRUPTED"'  # IEEE 488.2, 6.3.2.3
 
 
-def test_reading_what_was_not_asked_for_is_an_error_and_a_timeout():
+@pytest.mark.parametrize("link", ["vxi11", "usb"])
+def test_reading_what_was_not_asked_for_is_an_error_and_a_timeout(link):
     with served() as resources, visa() as lines:
-        line = lines.open(resources["vxi11"], timeout_s=0.1)
+        line = lines.open(resources[link], timeout_s=0.1)
         with pytest.raises(pyvisa.VisaIOError):
             line.read()
 
