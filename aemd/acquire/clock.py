@@ -66,6 +66,7 @@ class DeviceClock:
         self._epoch_readings = epoch_readings
         self._rate_bound = RATE_BOUND
         self._slowest, self._fastest = -RATE_BOUND, RATE_BOUND
+        self._run_index = 0
         self._before: _Bounds | None = None
         self._now: _Bounds | None = None
         self._anchor: _Bounds | None = None
@@ -94,7 +95,8 @@ class DeviceClock:
 
     def observe(self, count: int, asked_ns: int, answered_ns: int) -> None:
         """Take one look: at some instant from asked to answered, exactly `count` readings were finished."""
-        first = count - count % self._epoch_readings if self._epoch_readings else 0
+        since = count - self._run_index
+        first = count - (since % self._epoch_readings if self._epoch_readings else since)
         now = self._now
         if now is None or now.first_index != first:
             if now is not None:  # whatever the new epoch is like, the last reading of the old one was finished by then
@@ -116,6 +118,34 @@ class DeviceClock:
             self._slowest, self._fastest = -self._rate_bound, self._rate_bound
             now.earliest_ns, now.latest_ns = earliest_ns, latest_ns
             self._anchor = None
+
+    def restart(self, index: int, asked_ns: int, answered_ns: int) -> None:
+        """Sampling began anew between the two instants, with `index` as its first reading's number.
+
+        What is known of the rate is kept, as far as it cannot have wandered since: the crystals are the same.
+        """
+        if self._now is not None:
+            wander = WANDER_PER_S * max(0.0, self._since_ns(self._now, self._now.index, asked_ns)) * 1e-9
+            self._slowest = max(self._slowest - wander, -self._rate_bound)
+            self._fastest = min(self._fastest + wander, self._rate_bound)
+        self._run_index = index
+        self._before, self._now, self._anchor = None, _Bounds(index, origin_ns=asked_ns, index=index), None
+        self.observe(index, asked_ns, answered_ns)
+
+    def forget_offset(self) -> None:
+        """Begin with the next look as if nothing were known but the rate."""
+        self._before = self._now = self._anchor = None
+
+    def instant(self, index: int) -> int:
+        """Return the middle of the aperture of one reading, past or to come, as far as is known now."""
+        now = self._now
+        if now is None:
+            return 0
+        before = self._before
+        bounds = before if before is not None and index < now.first_index else now
+        middle_ns = bounds.middle_ns if bounds.width_ns < inf else max(bounds.earliest_ns, 0.0)
+        nominal_ns = bounds.origin_ns + (index - bounds.first_index) * self.interval_ns - self._delay_ns
+        return round(nominal_ns + middle_ns + self.rate * (index - bounds.index) * self.interval_ns)
 
     def stamp(self, first_index: int, count: int) -> NDArray[np.int64]:
         """Return the middles of the apertures of consecutive readings, shape (count,); strictly increasing over calls.
@@ -141,8 +171,9 @@ class DeviceClock:
         latest_ns = now.latest_ns if now.latest_ns < inf else now.earliest_ns + self.interval_ns
         since_asked_ns = self._since_ns(now, now.index, asked_ns)
         since_answered_ns = self._since_ns(now, now.index, answered_ns)
-        latest_ns += self._fastest * since_asked_ns
-        earliest_ns = now.earliest_ns + self._slowest * since_answered_ns
+        drift_ns = _drift_ns(since_answered_ns)
+        latest_ns += self._fastest * since_asked_ns + drift_ns
+        earliest_ns = now.earliest_ns + self._slowest * since_answered_ns - drift_ns
         least = now.index + 1 + floor((since_asked_ns - latest_ns) / self.interval_ns)
         largest = now.index + 1 + floor((since_answered_ns - earliest_ns) / self.interval_ns)
         return least, largest
@@ -161,8 +192,9 @@ class DeviceClock:
     def _age(self, bounds: _Bounds, index: int) -> None:
         """Carry the bounds from their reading to a later one; they drift apart as the rate is uncertain."""
         span_ns = (index - bounds.index) * self.interval_ns
-        bounds.earliest_ns += self._slowest * span_ns
-        bounds.latest_ns += self._fastest * span_ns
+        drift_ns = _drift_ns(span_ns)
+        bounds.earliest_ns += self._slowest * span_ns - drift_ns
+        bounds.latest_ns += self._fastest * span_ns + drift_ns
         bounds.index = index
         wander = WANDER_PER_S * span_ns * 1e-9
         self._slowest = max(self._slowest - wander, -self._rate_bound)
@@ -194,3 +226,8 @@ class DeviceClock:
         within_ns = bounds.width_ns / 2 + farthest_ns * self.rate_uncertainty + held_back_ns
         self._stamped_within_ns = max(self._stamped_within_ns, within_ns)
         return stamps_ns
+
+
+def _drift_ns(span_ns: float) -> float:
+    """Return how far a rate that wanders takes the offset off in a span, beyond the rate at its begin: W s^2 / 2."""
+    return 0.5 * WANDER_PER_S * (span_ns * 1e-9) ** 2 * 1e9

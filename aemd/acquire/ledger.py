@@ -4,6 +4,10 @@ A look brings readings and the count of those that were waiting. Normally the nu
 says that it overwrote readings it does not say how many; the clock does: so many must have been finished by now, so
 many are here, the difference is lost. The count is taken once more after some were taken out, because a memory that
 is full may lose readings between its count and the taking; one with room does not.
+
+After a lost link three more things are told: how many readings were torn on the wire (`tear`, exact); that sampling
+has stopped, so that counts say nothing of the clock (`end`, `go_on`); and that it began anew (`restart`), in a new run
+whose first number leaves room for what the old one would have made meanwhile, as the clock counts it.
 """
 
 import numpy as np
@@ -17,6 +21,8 @@ __all__ = ["Ledger"]
 NEARLY_FULL = 0.99  # of the memory; 50 ms at 10,000 readings/s and 50,000 of memory, longer than a look takes
 CLOCK_FIRST_NS = 1_000_000_000  # the start-up's fast looks are over by then
 CLOCK_EVERY_NS = 600_000_000_000  # often enough to see the rate follow the room's temperature
+SLACK_READINGS = 2  # by which a count may differ from the clock's before readings have vanished
+SLACK_RATE = 1e-3  # and this fraction of those since the last look: beyond it no clock is wrong
 OVERLOAD = int(Status.OVERLOAD_HIGH | Status.OVERLOAD_LOW)
 
 
@@ -33,6 +39,8 @@ class Ledger:
     def __init__(self, clock: DeviceClock, utc_offset_ns: int, epoch_readings: int, memory_readings: int) -> None:
         self.next_index = 0
         self.lost = 0
+        self.run_index = 0
+        """Number of the first reading since sampling began, or began anew."""
         self._clock = clock
         self._utc_offset_ns = utc_offset_ns
         self._epoch_readings = epoch_readings
@@ -41,17 +49,49 @@ class Ledger:
         self._late = False
         self._overloaded = False
         self._ended: tuple[int, int] | None = None
+        self._looked_ns = 0
+        self._counted = 0
+        self._gap_is_before = False
         self._restarts = 0
         self._clock_event_due_ns = 0
 
     def begin(self, asked_ns: int, answered_ns: int) -> None:
         """Sampling began between the two instants, with nothing finished."""
         self._clock.observe(0, asked_ns, answered_ns)
+        self._looked_ns = answered_ns
         self._clock_event_due_ns = answered_ns + CLOCK_FIRST_NS
 
     def end(self, asked_ns: int, answered_ns: int) -> None:
         """Sampling ended between the two instants; looks from now on say nothing about the clock."""
         self._ended = asked_ns, answered_ns
+
+    def go_on(self) -> None:
+        """Sampling had not ended after all."""
+        self._ended = None
+
+    def tear(self, count: int, why: str) -> tuple[Event, ...]:
+        """Note that exactly `count` readings left the instrument and never came; it holds only later ones."""
+        return self._lose(count, f"{count} readings lost: {why}")
+
+    def restart(self, asked_ns: int, answered_ns: int, why: str) -> tuple[Event, ...]:
+        """Sampling began anew between the two instants; whatever would have been made since the last one is missing."""
+        events = self.miss(asked_ns, answered_ns, why)
+        self._clock.restart(self.next_index, asked_ns, answered_ns)
+        self._clock_event_due_ns = answered_ns + CLOCK_FIRST_NS
+        self.run_index = self.next_index
+        self._ended = None
+        self._overflowed = self._late = False
+        self._counted, self._looked_ns = self.next_index, answered_ns
+        return events
+
+    def miss(self, asked_ns: int, answered_ns: int, why: str) -> tuple[Event, ...]:
+        """Count as lost whatever would have been finished by now, at the interval that was."""
+        least, largest = self._clock.finished(asked_ns, answered_ns)
+        missed = (least + largest) // 2 - self.next_index
+        doubt = (largest - least + 1) // 2 + 1
+        if self._epoch_readings and missed > 0:
+            doubt += missed // self._epoch_readings
+        return self._lose(missed, f"about {missed} readings missed, give or take {doubt}: {why}")
 
     def needs_recount(self, drain: Drain) -> bool:
         """Tell whether `enter` wants another look, one that takes nothing, before it numbers these readings."""
@@ -70,11 +110,18 @@ class Ledger:
         self._late |= any(look.late for look in looks)
         count = drain.values_V.size
         still_waiting = looks[-1].waiting - (count if recount is None else 0)
-        lost, doubt = self._count_lost(count + still_waiting, looks[-1]) if self._overflowed and count else (0, 0)
+        lost, doubt, cause = 0, 0, "the instrument's memory was full and overwrote them"
+        if self._overflowed and count:
+            lost, doubt = self._count_lost(count + still_waiting, looks[-1])
+        elif count and self._ended is None and np.isfinite(self._clock.uncertainty_ns):
+            lost, doubt = self._count_vanished(count + still_waiting, looks[-1])
+            cause = "they were in the instrument's memory and are gone; did another program read or clear it?"
         first_index = self.next_index + lost
         counted = first_index + count + still_waiting
-        if self._ended is None and not (self._overflowed and not count):  # else the count is too low
+        too_low = self._ended is not None or (self._overflowed and not count) or self._stands_still(counted, looks[-1])
+        if not too_low:
             self._clock.observe(counted, looks[-1].asked_ns, looks[-1].answered_ns)
+            self._counted, self._looked_ns = counted, looks[-1].answered_ns
 
         block = np.empty(count, dtype=READING)
         block["index"] = np.arange(first_index, first_index + count)
@@ -83,7 +130,9 @@ class Ledger:
         block["status"] = drain.status
         events = [Event(self._utc(drain.received_ns), "instrument", text) for look in looks for text in look.messages]
         if count:
-            events += self._gap(block, lost, doubt) + self._timing(block) + self._overload(block) + self._epoch(block)
+            events += (
+                self._gap(block, lost, doubt, cause) + self._timing(block) + self._overload(block) + self._epoch(block)
+            )
             self.next_index = first_index + count
             self.lost += lost
             self._overflowed = False
@@ -97,18 +146,47 @@ class Ledger:
         finished = (least + largest) // 2
         doubt = (largest - least + 1) // 2
         if self._epoch_readings:  # each new epoch within the gap began an unknown fraction of an interval off
-            doubt += finished // self._epoch_readings - self.next_index // self._epoch_readings
+            since, since_next = finished - self.run_index, self.next_index - self.run_index
+            doubt += since // self._epoch_readings - since_next // self._epoch_readings
         self._clock.doubt(doubt)
         return max(1, finished - self.next_index - here), doubt
 
-    def _gap(self, block: Block, lost: int, doubt: int) -> list[Event]:
+    def _stands_still(self, counted: int, look: Drain) -> bool:
+        """Tell whether no reading came though one must have: sampling has stopped, which says nothing of a clock."""
+        return counted == self._counted and counted < self._clock.finished(look.asked_ns, look.answered_ns)[0]
+
+    def _count_vanished(self, here: int, look: Drain) -> tuple[int, int]:
+        """Return how many readings are missing though nobody said so, and by how many that may err."""
+        least, largest = self._clock.finished(look.asked_ns, look.answered_ns)
+        counted = self.next_index + here
+        slack = SLACK_READINGS + SLACK_RATE * (look.answered_ns - self._looked_ns) / self._clock.interval_ns
+        if counted > largest + slack:  # the host's monotonic clock stood still: it was suspended
+            self._clock.forget_offset()
+        if counted >= least - slack:
+            return 0, 0
+        doubt = (largest - least + 1) // 2
+        self._clock.doubt(doubt)
+        return (least + largest) // 2 - counted, doubt
+
+    def _lose(self, count: int, message: str) -> tuple[Event, ...]:
+        if count <= 0:
+            return ()
+        first = self.next_index
+        self.next_index += count
+        self.lost += count
+        self._gap_is_before = True
+        return (Event(self._utc(self._clock.instant(first)), "gap", message, first, first + count - 1),)
+
+    def _gap(self, block: Block, lost: int, doubt: int, cause: str) -> list[Event]:
+        if lost or self._gap_is_before:
+            block["status"][0] |= np.uint32(Status.GAP)
+            self._gap_is_before = False
         if not lost:
             return []
-        block["status"][0] |= np.uint32(Status.GAP)
         first, last = self.next_index, self.next_index + lost - 1
         back_ns = round((block["index"][0] - first) * self._clock.interval_ns)
         within = f", give or take {doubt}" if doubt else ""
-        message = f"{lost} readings lost{within}: the instrument's memory was full and overwrote them"
+        message = f"{lost} readings lost{within}: {cause}"
         return [Event(int(block["t_ns"][0]) - back_ns, "gap", message, first, last)]
 
     def _timing(self, block: Block) -> list[Event]:
@@ -134,7 +212,8 @@ class Ledger:
     def _epoch(self, block: Block) -> list[Event]:
         if not self._epoch_readings:
             return []
-        starts = np.flatnonzero((block["index"] % self._epoch_readings == 0) & (block["index"] > 0))
+        since = block["index"] - self.run_index
+        starts = np.flatnonzero((since % self._epoch_readings == 0) & (block["index"] > 0))
         return [Event(int(block["t_ns"][at]), "epoch", "the instrument started its timer anew") for at in starts]
 
     def _clock_news(self, now_ns: int) -> list[Event]:

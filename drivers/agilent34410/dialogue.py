@@ -291,7 +291,7 @@ class Dialogue:
         except (ValueError, OverflowError) as error:
             self._in_step = False
             raise InstrumentError(
-                f"{self.resource}: {question}: the answer {_shown(answer)} is not {count} numbers; start again"
+                f"{self.resource}: {question}: the answer {_shown(answer)} is not {count} numbers; look at its display"
             ) from error
         return numbers
 

@@ -25,6 +25,9 @@ __all__ = ["Meter", "open_instrument"]
 OVERLOAD_V = 9.9e37
 """What the meter sends, with the sign, of an input beyond 120 % of the range (PRH 651)."""
 
+NOT_A_NUMBER_V = 9.91e37
+"""What SCPI sends for what is not a number (SCPI-99, volume 1, 7.2.1.5)."""
+
 TIMING_VIOLATION = 1 << 2  # Questionable Data: a sample timer event came before the reading was done (PRH 1517)
 MEMORY_OVERFLOW = 1 << 14  # Questionable Data: readings were overwritten; no error is queued (PRH 1791)
 MEASURING_OR_WAITING = 1 << 4 | 1 << 5  # Standard Operation condition: the trigger system is not idle
@@ -317,6 +320,7 @@ def _decode(block: bytes) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
     values_V = np.frombuffer(block, dtype=">f8").astype(np.float64)
     status = np.zeros(values_V.size, dtype=np.uint32)
     status[values_V >= OVERLOAD_V] = Status.OVERLOAD_HIGH
+    status[values_V == NOT_A_NUMBER_V] = Status.INVALID
     status[values_V <= -OVERLOAD_V] = Status.OVERLOAD_LOW
     status[~np.isfinite(values_V)] = Status.INVALID
     values_V[status != 0] = np.nan

@@ -123,7 +123,7 @@ def test_a_dead_link_ends_the_stream_with_its_error_after_all_that_was_acquired(
     options = agilent34410.Options(nplc=0.2, autozero="off", interval_s=0.01, timeout_s=0.3)
     with served() as (resource, _):
         instrument = agilent34410.open_instrument(resource, options, time.monotonic_ns)
-        acquisition = Acquisition(instrument)
+        acquisition = Acquisition(instrument, give_up_s=0.5)
         acquisition.__enter__()
         time.sleep(0.3)  # some are in flight when the meter goes
     batches: list[Batch] = []

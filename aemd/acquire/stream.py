@@ -1,0 +1,376 @@
+"""What the thread at the instrument does, as a generator: look, take, stamp; and come back when the link is lost.
+
+    start ─> look ─> look ─> ... ─> stop ─> take the rest
+               │ InstrumentError
+               └> recover, with pauses that double ─> what was torn is a gap
+                    still sampling:  go on; the readings made meanwhile wait in the instrument's memory
+                    sampling no more: take what is left FIRST, then start anew (which clears the memory); the
+                                      readings that would have been made meanwhile are a gap, counted by the clock
+
+The ladder itself (drain, clear, resynchronise, reopen) is the driver's, because what a link needs depends on the link
+and on the instrument's language. What is done with the readings, the time and the patience is here, alike for all.
+
+There is no thread and no clock of its own here: who waits moves the time, so a day passes as fast as it is computed.
+"""
+
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+
+from aemd.acquire.clock import DeviceClock
+from aemd.acquire.instrument import Clock, Drain, Instrument, Recoverable
+from aemd.acquire.ledger import Ledger
+from aemd.block import READING, Block, Event
+from aemd.errors import InstrumentError
+
+__all__ = ["Delivery", "Stream", "choose_poll_s"]
+
+MOST_AT_ONCE = 1 << 13  # 64 KiB of readings: a backlog comes in pieces, so that its first readings are not late
+GOLDEN = 0.618033988749895  # no other fraction of the interval spreads the looks' phases more evenly over it
+SHORTEST_POLL_S = 0.010  # a look costs about 0.5 ms of a core
+LONGEST_POLL_S = 0.25  # so soon a stop is heard and a failure is seen
+EAGER_POLL_S = 0.002
+EAGER_LOOKS = 500  # 1 s of them, after a start or a new epoch, until the offset is known
+EAGER_BEFORE = 2  # readings before the end of an epoch
+WELL_KNOWN_NS = 1_000_000
+PATIENCE_S = 5.0
+PATIENCE_INTERVALS = 5  # without a reading, however long an interval is
+FRESH_STARTS = 3  # of an instrument that answers and takes no readings, in a row
+SHORTEST_PAUSE_S = 0.05  # after the second attempt to recover, doubled with each
+LONGEST_PAUSE_S = 5.0  # an instrument that is back is found within this
+GROWTH_INTERVALS = 2.5  # a reading comes within these, if it comes
+LONGEST_GROWTH_S = 2.0
+LAST_ATTEMPTS = 4  # to recover a link that fails during the stop: one for each rung, and one
+UTC_EVERY_NS = 1_000_000_000
+UTC_STEP_NS = 20_000_000  # what happens between reading two clocks is less, else they are read again
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """What one look brought."""
+
+    block: Block
+    events: tuple[Event, ...]
+    received_ns: int
+
+
+class _SilentError(InstrumentError):
+    """The instrument answers and takes no readings."""
+
+
+def choose_poll_s(interval_s: float) -> float:
+    """Return the time between two looks: a golden section of the interval, or a whole fraction of it if that is long.
+
+    >>> [round(choose_poll_s(interval_s), 4) for interval_s in (1e-4, 0.1, 1.0)]
+    [0.01, 0.0618, 0.206]
+    """
+    section_s = GOLDEN * interval_s
+    return max(section_s / ceil(section_s / LONGEST_POLL_S), SHORTEST_POLL_S)
+
+
+class Stream:
+    """One run of an instrument; iterate `deliveries` once.
+
+    Args:
+        instrument: opened and configured.
+        wait: wait so many seconds (0 for not at all) or until told to stop; tells whether that was.
+        room: how many readings may be delivered now.
+        is_abandoned: whether nobody will ever take more than `room`.
+        most_readings: end after exactly so many; None for until told to stop.
+        poll_s: time between two looks; None for a choice from the interval.
+        give_up_s: how long to try to recover before the failure is raised; None for without end.
+        clock: host monotonic time, the same that the instrument was given.
+        utc: the wall clock, ns since 1970. Its offset is taken once; when it is set later, that is an event and moves
+            no stamp.
+    """
+
+    def __init__(
+        self,
+        instrument: Instrument,
+        *,
+        wait: Callable[[float], bool],
+        room: Callable[[], int],
+        is_abandoned: Callable[[], bool] = lambda: False,
+        most_readings: int | None = None,
+        poll_s: float | None = None,
+        give_up_s: float | None = None,
+        clock: Clock,
+        utc: Clock,
+    ) -> None:
+        self.turns = 0
+        """Looks and attempts so far; while this grows the instrument is attended to."""
+        self.outages = 0
+        """How often the link was lost."""
+        self.utc_offset_ns = utc() - clock()
+        """UTC minus host monotonic, taken once."""
+        self.fit = DeviceClock(instrument.interval_s, instrument.sample_delay_s, instrument.epoch_readings)
+        self.ledger = Ledger(self.fit, self.utc_offset_ns, instrument.epoch_readings, instrument.memory_readings)
+        self._instrument = instrument
+        self._wait = wait
+        self._room = room
+        self._is_abandoned = is_abandoned
+        self._most_readings = most_readings
+        self._poll_s = choose_poll_s(instrument.interval_s) if poll_s is None else poll_s
+        self._give_up_s = give_up_s
+        self._clock = clock
+        self._utc = utc
+        self._utc_seen_ns = self.utc_offset_ns
+        self._utc_due_ns = 0
+        self._taken = 0
+        self._left = 0
+        self._epoch = (0, 0)
+        self._eager_looks = EAGER_LOOKS
+        self._next_look_ns = 0
+        self._newest_ns = 0
+        self._fresh_starts = 0
+        self._half_started = False
+        self._told_to_stop = False
+        self._sampling = False
+        self._is_lost = False
+
+    def deliveries(self) -> Iterator[Delivery]:
+        """Yield what each look brought, in order, until told to stop or all is there.
+
+        Raises:
+            InstrumentError: the instrument does not start, or has no way back after a failure, or did not come back in
+                time; everything taken before has been yielded.
+        """
+        asked_ns = self._clock()
+        self._instrument.start()
+        self._begun()
+        self.ledger.begin(asked_ns, self._next_look_ns)
+        while self._missing() and not self._pause():
+            try:
+                delivery = self._look()
+            except InstrumentError as error:
+                yield from self._come_back(error)
+                continue
+            if delivery is not None:
+                yield delivery
+        yield from self._end()
+
+    def _begun(self) -> None:
+        self._sampling = True
+        self._next_look_ns = self._newest_ns = self._clock()
+        self._eager_looks = EAGER_LOOKS
+
+    def _missing(self) -> int:
+        """Return how many readings are still wanted; as many as there is room for where there is no end."""
+        return self._room() + 1 if self._most_readings is None else self._most_readings - self._taken
+
+    # -- looking -----------------------------------------------------------------------------------------------------
+
+    def _pause(self) -> bool:
+        """Wait until the time of the next look, if there is one to wait for; tell whether to stop."""
+        if self._told_to_stop:
+            return True
+        now_ns = self._clock()
+        if not (self._left and self._room()):
+            poll_s = min(self._poll_s, EAGER_POLL_S) if self._is_eager() else self._poll_s
+            # From the time that was due, so that the cadence holds; from now, if that has already passed.
+            self._next_look_ns = max(now_ns, self._next_look_ns + round(poll_s * 1e9))
+        self._told_to_stop = self._wait(max(0, self._next_look_ns - now_ns) * 1e-9)
+        return self._told_to_stop
+
+    def _is_eager(self) -> bool:
+        """Tell whether to look often for a while: a timing epoch is about to begin or has begun and is ill known."""
+        epoch_readings = self._instrument.epoch_readings
+        since = self.ledger.next_index - self.ledger.run_index
+        epoch = self.ledger.run_index, since // epoch_readings if epoch_readings else 0
+        if epoch != self._epoch:
+            self._epoch, self._eager_looks = epoch, EAGER_LOOKS
+        near_its_end = bool(epoch_readings) and epoch_readings - since % epoch_readings <= EAGER_BEFORE
+        if self._eager_looks and (near_its_end or self.fit.uncertainty_ns > WELL_KNOWN_NS):
+            self._eager_looks -= 1
+            return True
+        return False
+
+    def _look(self) -> Delivery | None:
+        """Take what is waiting as far as there is room for it."""
+        self.turns += 1
+        most = min(self._room(), self._missing(), MOST_AT_ONCE)
+        drain = self._instrument.drain(most)
+        recount = self._recount(drain)
+        block, events = self.ledger.enter(drain, recount)
+        self._left = drain.waiting - block.size
+        self._taken += block.size
+        if drain.waiting or not self._sampling:
+            self._newest_ns = drain.answered_ns
+            self._fresh_starts = 0 if block.size else self._fresh_starts
+        self._refuse_silence(drain)
+        events += self._utc_news(drain.received_ns)
+        return Delivery(block, events, drain.received_ns) if block.size or events else None
+
+    def _recount(self, drain: Drain) -> Drain | None:
+        if not self.ledger.needs_recount(drain):
+            return None
+        try:
+            return self._instrument.drain(0)
+        except InstrumentError:  # what was taken must be entered all the same; the next look finds the link as it is
+            return None
+
+    def _refuse_silence(self, drain: Drain) -> None:
+        """Raise where the instrument answers and yet takes no readings, rather than wait for ever."""
+        patience_s = max(PATIENCE_S, PATIENCE_INTERVALS * self._instrument.interval_s)
+        if drain.answered_ns - self._newest_ns > patience_s * 1e9:
+            raise _SilentError(
+                f"the instrument has taken no reading for {patience_s:.3g} s, at an interval of"
+                f" {self._instrument.interval_s:g} s; look at its display, and start again"
+            )
+
+    def _utc_news(self, now_ns: int) -> tuple[Event, ...]:
+        """Tell of a wall clock that was set."""
+        if now_ns < self._utc_due_ns:
+            return ()
+        before_ns, utc_ns, after_ns = self._clock(), self._utc(), self._clock()
+        if after_ns - before_ns > UTC_STEP_NS // 2:  # we were put to sleep in between
+            return ()
+        self._utc_due_ns = now_ns + UTC_EVERY_NS
+        offset_ns = utc_ns - before_ns
+        step_ns, self._utc_seen_ns = offset_ns - self._utc_seen_ns, offset_ns
+        if abs(step_ns) < UTC_STEP_NS:
+            return ()
+        ahead_s = (offset_ns - self.utc_offset_ns) * 1e-9
+        message = (
+            f"the host's wall clock was set by {step_ns * 1e-9:+.3f} s; stamps go on by the monotonic clock and the"
+            f" UTC of the start, and it is {ahead_s:+.3f} s ahead of them now"
+        )
+        return (self._event("clock", message),)
+
+    # -- coming back -------------------------------------------------------------------------------------------------
+
+    def _come_back(self, error: InstrumentError) -> Iterator[Delivery]:
+        """Recover from a failure; give up only when told to.
+
+        Raises:
+            InstrumentError: there is no way back, or the time for it is over.
+        """
+        instrument = self._instrument
+        is_silent = isinstance(error, _SilentError)
+        self._fresh_starts += is_silent
+        if not isinstance(instrument, Recoverable) or self._fresh_starts > FRESH_STARTS:
+            raise error
+        self.outages += 1
+        began_ns = self._clock()
+        yield self._told("link", f"{'silent' if is_silent else 'lost'}: {error}")
+        pause_s = 0.0
+        while not (self._told_to_stop or self._wait(pause_s)):
+            self.turns += 1
+            try:
+                yield from self._resume(instrument, began_ns, afresh=is_silent)
+            except InstrumentError as latest:
+                error = latest
+            else:
+                return
+            away_s = (self._clock() - began_ns) * 1e-9
+            if self._give_up_s is not None and away_s > self._give_up_s:
+                yield from self._miss("the link was down")
+                raise InstrumentError(f"{error}; gave up after {away_s:.3g} s without it")
+            pause_s = min(max(2 * pause_s, SHORTEST_PAUSE_S), LONGEST_PAUSE_S)
+        self._told_to_stop = self._is_lost = True
+
+    def _resume(self, instrument: Recoverable, began_ns: int, *, afresh: bool) -> Iterator[Delivery]:
+        """Make one attempt to go on where the link was lost.
+
+        Raises:
+            InstrumentError: it failed; nothing is lost by it that was not.
+        """
+        asked_ns = self._clock()
+        recovery = instrument.recover(afresh=afresh)
+        torn = self.ledger.tear(recovery.torn, "they left the instrument's memory and never arrived whole")
+        if torn:
+            yield self._delivery(torn)
+        why = "the instrument had lost its settings"
+        if afresh or recovery.settings_kept:
+            why = "the instrument had stopped"
+        is_going = recovery.sampling
+        if not is_going and not self._half_started:
+            self._sampling = False
+            self.ledger.end(asked_ns, self._clock())
+            if recovery.settings_kept:
+                yield from self._take_rest()
+                is_going = yield from self._grows()
+        if is_going and not self._half_started:
+            self._sampling = True
+            self.ledger.go_on()
+            self._next_look_ns = self._newest_ns = self._clock()
+            yield self._back(began_ns, recovery.how)
+            return
+        if self._missing() <= 0 or self._told_to_stop:
+            return
+        asked_ns = self._clock()
+        self._half_started = True  # from here on the memory is, or may be, the new run's
+        self._instrument.start()
+        self._half_started = False
+        missed = self.ledger.restart(asked_ns, self._clock(), why)
+        self._begun()
+        yield self._delivery(missed)
+        yield self._back(began_ns, f"{recovery.how}; sampling anew, because {why}")
+
+    def _grows(self) -> Generator[Delivery, None, bool]:
+        """Tell whether readings come in, whatever the instrument says of its state."""
+        before = self._taken + self._left
+        self._told_to_stop = self._wait(min(GROWTH_INTERVALS * self._instrument.interval_s, LONGEST_GROWTH_S))
+        yield from self._take_rest()
+        return self._taken + self._left > before
+
+    def _back(self, began_ns: int, how: str) -> Delivery:
+        return self._told("link", f"back after {(self._clock() - began_ns) * 1e-9:.3f} s: {how}")
+
+    # -- the end -----------------------------------------------------------------------------------------------------
+
+    def _end(self) -> Iterator[Delivery]:
+        """Stop the instrument and take what it holds; with a link that is lost, count what is missing."""
+        if self._is_lost:
+            yield from self._miss("told to stop while the link was down")
+            return
+        asked_ns = self._clock()
+        for _ in range(LAST_ATTEMPTS):
+            try:
+                self._instrument.stop()
+                self._sampling = False
+                self.ledger.end(asked_ns, self._clock())
+                yield from self._take_rest()
+            except InstrumentError as error:
+                if not isinstance(self._instrument, Recoverable):
+                    raise
+                yield self._told("link", f"lost: {error}")
+            else:
+                return
+            try:
+                torn = self.ledger.tear(self._instrument.recover().torn, "they left the memory and never arrived whole")
+            except InstrumentError:
+                continue
+            yield self._delivery(torn)
+        yield from self._miss("the link went down during the stop")
+
+    def _take_rest(self) -> Iterator[Delivery]:
+        """Take what is in the memory of an instrument that has stopped."""
+        self._left = 1
+        while self._left and self._missing() > 0:
+            if self._room():
+                delivery = self._look()
+                if delivery is not None:
+                    yield delivery
+            elif self._is_abandoned():
+                return
+            else:
+                self._wait(self._poll_s)
+
+    def _miss(self, why: str) -> Iterator[Delivery]:
+        if self._missing() > 0:
+            now_ns = self._clock()
+            yield self._delivery(self.ledger.miss(now_ns, now_ns, why))
+
+    # ----------------------------------------------------------------------------------------------------------------
+
+    def _told(self, kind: str, message: str) -> Delivery:
+        return self._delivery((self._event(kind, message),))
+
+    def _event(self, kind: str, message: str) -> Event:
+        return Event(self._clock() + self.utc_offset_ns, kind, message)
+
+    def _delivery(self, events: tuple[Event, ...]) -> Delivery:
+        return Delivery(np.empty(0, READING), events, self._clock())
