@@ -13,7 +13,6 @@ import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
 from email.message import Message
-from http.cookies import CookieError, SimpleCookie
 from urllib.parse import urlsplit
 
 from aemd.errors import UsageError
@@ -151,11 +150,8 @@ class Access:
         scheme, _, credentials = headers.get("Authorization", "").partition(" ")
         if scheme.lower() == "bearer":
             offered.append(credentials.strip())
-        try:
-            cookies = SimpleCookie(headers.get("Cookie", ""))
-        except CookieError:
-            return offered
-        return [*offered, *(morsel.value for name, morsel in cookies.items() if name == self._cookie)]
+        cookies = (pair.strip().partition("=") for pair in headers.get("Cookie", "").split(";"))
+        return [*offered, *(value for name, _, value in cookies if name == self._cookie)]
 
     def _is_token(self, word: str) -> bool:
         return hmac.compare_digest(word.encode(errors="replace"), self._token)

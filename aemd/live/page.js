@@ -132,7 +132,7 @@ function showNow(now) {
   setText("sigma", now.sigma_V === null ? "" : `± ${quantity(Math.abs(stretch(now.sigma_V)), 3).slice(1)}`);
   setText("u", quantity(stretch(now.u_V), 4));
   setText("window", now.window ? String(now.window) : "–");
-  setText("estimator", `${shown.status.estimator}${now.passes ? ` · ${now.passes} passes` : ""}`);
+  setText("estimator", `${shown.status.estimator}${now.passes ? ` · ${now.passes} ${now.passes === 1 ? "pass" : "passes"}` : ""}`);
 }
 
 function showStatus() {
@@ -191,9 +191,9 @@ function setState(state) {
 
 // -- charts ----------------------------------------------------------------------------------------------------------
 
-const MARGIN = { left: 62, right: 10, top: 8, bottom: 20 };
+const MARGIN = { left: 54, right: 8, top: 8, bottom: 20 };
 const FONT = '11px system-ui, "DejaVu Sans", sans-serif';
-const TIME_STEPS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200];
+const TIME_STEPS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 20, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200];
 
 function readColours() {
   const style = getComputedStyle(document.documentElement);
@@ -271,7 +271,7 @@ function drawY(pen, area, [low, high], asQuantity) {
 }
 
 function drawTimes(pen, area, view) {
-  const most = (area.x1 - area.x0) / 85;
+  const most = (area.x1 - area.x0) / 66;
   const step = 1e3 * (TIME_STEPS_S.find((s) => (1e3 * s) >= (view.end - view.begin) / most) || 86400);
   const shift = 6e4 * new Date(view.end).getTimezoneOffset(); // ticks at the user's full hours
   pen.textBaseline = "top";
@@ -381,7 +381,7 @@ function drawInput(view) {
   const read = runs(view.readings, view.apart_ms, "lo");
   drawEnvelope(pen, read, view.toX, y("lo"), y("hi"), colours.readings, 1);
   if ((area.x1 - area.x0) / view.readings.length > 3) drawDots(pen, view.readings, view.toX, y("lo"), colours.readings, 1.7);
-  drawEnvelope(pen, estimated, view.toX, y("mean"), y("mean"), colours.estimate, 1.8);
+  drawEnvelope(pen, estimated, view.toX, y("mean"), y("mean"), colours.estimate, 1.5);
   pen.fillStyle = colours.bad; // readings without a value, along the bottom
   for (const cell of view.readings) if (cell.bad > 0) pen.fillRect(view.toX(cell.t) - 1, area.y1 - 6, 2.5, 6);
   drawPointer(pen, area, view);

@@ -33,6 +33,7 @@ __all__ = ["MOST_STREAMS", "Server"]
 
 MOST_CONNECTIONS = 64  # each is a thread
 MOST_STREAMS = 32
+POLL_S = 0.5  # how soon `close` is heard
 PATIENCE_S = 10.0  # for a request to arrive, and for a viewer to read
 KEEP_ALIVE_S = 5.0  # a viewer that hears nothing for longer takes the line for dead
 SEND_BUFFER_BYTES = 1 << 16  # a viewer that does not read holds no more of our past
@@ -83,7 +84,7 @@ class Server:
         self.address = Address(address.host, self._http.server_port)
         self._token = token
         self._http.access = Access(self.address, token, hosts)
-        self._thread = threading.Thread(target=self._http.serve_forever, name="aemd-http", args=(0.5,), daemon=True)
+        self._thread = threading.Thread(target=self._http.serve_forever, name="aemd-http", args=(POLL_S,), daemon=True)
 
     @property
     def url(self) -> str:
@@ -171,13 +172,15 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer."""
         self.close_connection = True
-        url = urlsplit(self.path)
-        query = {key: values[-1] for key, values in parse_qs(url.query).items()}
         try:
+            url = urlsplit(self.path)
+            query = {key: values[-1] for key, values in parse_qs(url.query).items()}
             self.server.access.check(self.headers, query.get("token"))
             self._answer(url.path, query)
         except Refusal as refusal:
             self._send(refusal.status, f"{refusal}\n".encode())
+        except ValueError:  # of an address, in the request line or in a header
+            self._send(400, b"this is no address\n")
         except (ConnectionError, TimeoutError):
             return  # the viewer is gone, or has stopped reading: its connection ends here
 

@@ -1,0 +1,1 @@
+"""Looking at a running acquisition from another process: its state, and a view for a terminal."""
