@@ -65,6 +65,7 @@ class Bench:
         self._links_down: list[Fault] = []
         self._due: list[tuple[int, int, Callable[[int], None]]] = []
         self._scheduled = 0
+        self._instant_ns: int | None = None
         self._on_ns = clock()
         self.add(faults)
 
@@ -118,9 +119,11 @@ class Bench:
         now_ns = self.clock()
         while self._due and self._due[0][0] <= now_ns:
             instant_ns, _, action = heapq.heappop(self._due)
+            self._instant_ns = instant_ns
             with self.meter.at(instant_ns):
                 self.meter.advance()
                 action(instant_ns)
+        self._instant_ns = None
         self.meter.advance()
 
     def hear(self) -> bool:
@@ -135,7 +138,8 @@ class Bench:
         """Take a line out; `noticed` tells whether the meter knows that it has ended."""
         self._lines.discard(line)
         if noticed and line.link == "vxi11" and self._vxi11_clears and not self._has_vxi11():
-            self._at(self.clock() + CLEARS_AFTER_NS, lambda _: None if self._has_vxi11() else self._clear())
+            now_ns = self.clock() if self._instant_ns is None else self._instant_ns
+            self._at(now_ns + CLEARS_AFTER_NS, lambda _: None if self._has_vxi11() else self._clear())
 
     # -- what goes wrong ---------------------------------------------------------------------------------------------
 
