@@ -30,6 +30,7 @@ _LONGEST_STEP = 1.5  # of any free number at once; most are logarithms
 _CONVERGED = 1e-2  # nats that are not worth another step
 _CONVERGED_PER_READING = 3e-7  # in a long record a hundredth of a nat is far below what can be told
 _FREE = 1e-2  # damping above which a small gain may be a short step's and not the top's
+_FLAT = 0.1  # of what is worth a step: a free number that can gain no more stays
 _DIFFERENCE = 1e-5  # of a free number, for the derivatives
 HOPELESS = 20.0
 """Nats behind the best, after what may still come, from which a start is given up."""
@@ -125,13 +126,17 @@ class Climb:
         scores = readings_scores(self.terms, self.theta, self._data, self._here, self._high)
         gradient, curvature = scores.sum(axis=0), scores.T @ scores
         pinned = ((self.theta <= self._low) & (gradient < 0)) | ((self.theta >= self._high) & (gradient > 0))
+        # What changes nothing would take the longest step all the time, and leave none to the others.
+        pinned |= np.abs(gradient) + np.diag(curvature) < _FLAT * enough
         gradient[pinned] = 0.0
         curvature[pinned], curvature[:, pinned] = 0.0, 0.0
         scale = np.diag(curvature) + 1e-6
         while self._damping < 1e6:
             step = np.linalg.solve(curvature + np.diag(self._damping * scale), gradient)
-            step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-12))
-            trial = np.clip(self.theta + step, self._low, self._high)
+            cut = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
+            if gradient @ cut <= 0:  # cutting each has turned the step downhill
+                cut = step * (_LONGEST_STEP / float(np.abs(step).max()))
+            trial = np.clip(self.theta + cut, self._low, self._high)
             promised = float(gradient @ (trial - self.theta))
             there = densities(self.terms, trial, self._data)
             self.gained = float(there.sum()) - self.value
