@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
-import usb.backend.libusb1  # type: ignore[import-untyped]  # pyusb has no types; so for the next one
-from usb.backend import IBackend  # type: ignore[import-untyped]
-from usb.core import USBError, USBTimeoutError
+# pyusb has no types; mypy says so at one of the three, not always the same.
+import usb.backend.libusb1  # type: ignore[import-untyped, unused-ignore]
+from usb.backend import IBackend  # type: ignore[import-untyped, unused-ignore]
+from usb.core import USBError, USBTimeoutError  # type: ignore[import-untyped, unused-ignore]
 
 from sim34410.usb import BULK_IN, Stall, UsbDevice
 

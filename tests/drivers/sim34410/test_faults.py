@@ -163,6 +163,7 @@ def test_the_meter_clears_itself_when_it_notices_that_the_last_vxi_11_link_has_e
     bench, clock = bench_with(Fault(kind, at_s=10.0, lasts_s=0.1))
     opened(bench, "vxi11").write(STREAM)
     clock.sleep(13.0)
+    bench.advance()
 
     assert (bench.meter.state == "measuring") is sampling
     line = opened(bench)
