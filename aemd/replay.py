@@ -17,7 +17,7 @@ from aemd.errors import RecordingError, UsageError
 from aemd.estimate.registry import make_estimator
 from aemd.pipeline import Tally, run
 from aemd.record.description import Description
-from aemd.record.reader import Recording
+from aemd.record.source import Readings, Selection, open_readings, readings_told
 from aemd.record.writer import Recorder
 
 __all__ = ["ReplaySummary", "replay"]
@@ -49,6 +49,7 @@ def replay(
     model: Path | None = None,
     out: Path | None = None,
     check: bool = False,
+    selection: Selection | None = None,
     console: Console | None = None,
 ) -> ReplaySummary:
     """Run a recording through an estimator: the recorded one with its recorded options, unless another is named.
@@ -59,14 +60,16 @@ def replay(
         model: a file with an estimator and its options, in the place of the recorded one.
         out: the new recording; None for none.
         check: compare with the recorded estimates.
+        selection: which number of the file is the reading, where it is not a recording of ours.
         console: where progress is shown; None for nowhere.
 
     Raises:
         RecordingError: the recording cannot be read, or the new one not written.
         ConfigError: the model file is wrong.
-        UsageError: no such estimator, or `check` of a recording without estimates or with another estimator.
+        UsageError: no such estimator, topic or field; or `check` of a recording without estimates or with another
+            estimator.
     """
-    with Recording(path) as recording:
+    with open_readings(path, selection) as recording:
         description = recording.description
         if check:
             recording.verify()
@@ -82,7 +85,7 @@ def replay(
         made = make_estimator(choice.name, choice.options, description.interval_s)
         made.push(np.empty(0, READING))  # compiles the kernel, which is no part of the speed
         start_ns = time.monotonic_ns()
-        with _recorder(out, description, choice) as recorder, advancing(_expected(recording), console) as bar:
+        with _recorder(out, description, choice) as recorder, advancing(readings_told(recording), console) as bar:
             run(
                 _heard(recording, comparison, bar),
                 made,
@@ -116,12 +119,6 @@ def _recorder(out: Path | None, description: Description, choice: EstimatorChoic
         recorder.discard()
         raise
     recorder.close("end")
-
-
-def _expected(recording: Recording) -> int | None:
-    """Return how many readings the recording says it has; None where it does not say."""
-    said = recording.metadata.get("aemd.close", {}).get("readings", "")
-    return int(said) if said.isdecimal() else None
 
 
 class _Comparison:
@@ -170,7 +167,7 @@ def _first_difference(recorded: Estimates, made: Estimates) -> str | None:
     return f"reading {before['index']}: {name} was {before[name]!r}, is {after[name]!r}"
 
 
-def _heard(recording: Recording, comparison: _Comparison | None, bar: Callable[[int], None]) -> Iterator[Batch]:
+def _heard(recording: Readings, comparison: _Comparison | None, bar: Callable[[int], None]) -> Iterator[Batch]:
     """Pass the batches on; tell the comparison of their recorded estimates, and the progress bar how far we are."""
     if comparison is None:  # the recorded estimates are most of a recording: unread, they cost nothing
         for batch in recording.batches():

@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -10,7 +10,24 @@ from typer.core import TyperCommand
 
 from aemd.errors import UsageError
 
-__all__ = ["AddressCommand", "EstimatorName", "Json", "Model", "Plot", "app", "draw", "show", "stderr"]
+if TYPE_CHECKING:
+    from aemd.record.foreign import Selection
+
+__all__ = [
+    "AddressCommand",
+    "EstimatorName",
+    "Field",
+    "Json",
+    "Model",
+    "Plot",
+    "TimeOf",
+    "Topic",
+    "app",
+    "draw",
+    "select",
+    "show",
+    "stderr",
+]
 
 app = typer.Typer(
     add_completion=False,
@@ -33,6 +50,14 @@ EstimatorName = Annotated[str | None, typer.Option("--estimator", metavar="NAME"
 Model = Annotated[
     Path | None, typer.Option("--model", metavar="M.toml", help="Estimator and options from a file, as tune writes it.")
 ]
+Topic = Annotated[
+    str | None, typer.Option("--topic", metavar="NAME", help="Topic with the readings, in another program's MCAP file.")
+]
+Field = Annotated[str | None, typer.Option("--field", metavar="A.B", help="Field with the reading, in its messages.")]
+TimeOf = Annotated[
+    Literal["publish", "log"] | None,
+    typer.Option("--time", help="Which time of its messages is the reading's; publish where there is one."),
+]
 
 
 class AddressCommand(TyperCommand):
@@ -51,6 +76,13 @@ class AddressCommand(TyperCommand):
             if word in self.options and not self.looks_like_address.fullmatch("".join(args[at + 1 : at + 2])):
                 args = [*args[:at], f"{word}=", *args[at + 1 :]]
         return super().parse_args(ctx, args)
+
+
+def select(topic: str | None, field: str | None, time: Literal["publish", "log"] | None) -> "Selection":
+    """Return which number of another program's file is the reading."""
+    from aemd.record.foreign import Selection
+
+    return Selection(topic, field, time)
 
 
 def show(result: Any, title: str, *, json: bool) -> None:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from aemd.cli.common import EstimatorName, Json, Model, Plot, app, draw, show, stderr
+from aemd.cli.common import EstimatorName, Field, Json, Model, Plot, TimeOf, Topic, app, draw, select, show, stderr
 
 
 @app.command()
@@ -16,12 +16,18 @@ def replay(
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write readings and new estimates here.")] = None,
     check: Annotated[bool, typer.Option("--check", help="Compare with the recorded estimates, bit for bit.")] = False,
     plot: Plot = None,
+    topic: Topic = None,
+    field: Field = None,
+    time: TimeOf = None,
     json: Json = False,
 ) -> None:
     """Run a recording through the pipeline again: to the same bits, or with another estimator."""
     from aemd import replay as offline
 
-    result = offline.replay(file, estimator=estimator, model=model, out=out, check=check, console=stderr())
+    selection = select(topic, field, time)
+    result = offline.replay(
+        file, estimator=estimator, model=model, out=out, check=check, selection=selection, console=stderr()
+    )
     show(result, "Replayed", json=json)
     if plot is not None:
         draw(result.out or result.file, plot)
@@ -31,28 +37,44 @@ def replay(
 
 @app.command(name="import")
 def import_table(
-    file: Annotated[Path, typer.Argument(metavar="FILE.csv[.gz]", help="Header time,value[,...]: seconds, reading.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Table time,value[,...] (.csv, .csv.gz), or any MCAP file.")
+    ],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.mcap", help="The new recording.")],
-    unit: Annotated[str, typer.Option(help="Unit of value times scale: V, mV, uV, nV become volts.")] = "V",
+    unit: Annotated[
+        str | None,
+        typer.Option(help="Unit of value times scale: V (if nothing says another), mV, uV, nV become volts."),
+    ] = None,
     scale: Annotated[float, typer.Option(help="Factor of every value.")] = 1.0,
+    topic: Topic = None,
+    field: Field = None,
+    time: TimeOf = None,
     json: Json = False,
 ) -> None:
-    """Make a recording of a table; columns after the second become witness topics."""
-    from aemd.tables import import_csv
+    """Make a recording of a table, columns after the second becoming witness topics; or of a number in an MCAP file."""
+    from aemd.tables import import_csv, import_mcap
 
-    show(import_csv(file, out, unit=unit, scale=scale), "Imported", json=json)
+    selection = select(topic, field, time)
+    if selection or file.suffix == ".mcap":
+        result = import_mcap(file, out, selection=selection, unit=unit, scale=scale, console=stderr())
+    else:
+        result = import_csv(file, out, unit=unit or "V", scale=scale)
+    show(result, "Imported", json=json)
 
 
 @app.command()
 def export(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.csv|.parquet", help="The new table.")],
+    topic: Topic = None,
+    field: Field = None,
+    time: TimeOf = None,
     json: Json = False,
 ) -> None:
     """Write a recording as a table: index, time_s, value_V, status, estimate_V, sigma_V, window."""
     from aemd.tables import export as export_table
 
-    show(export_table(file, out), "Exported", json=json)
+    show(export_table(file, out, selection=select(topic, field, time), console=stderr()), "Exported", json=json)
 
 
 @app.command()

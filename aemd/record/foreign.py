@@ -13,14 +13,14 @@ from typing import Literal, Self
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Channel, Footer, Metadata, Schema
+from mcap.records import Channel, Footer, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
-from aemd.block import ESTIMATE, READING, Batch, Estimates, Status
+from aemd.block import ESTIMATE, READING, Batch, Block, Estimates, Status
 from aemd.errors import RecordingError, UsageError, not_among
 from aemd.record.description import Description
 from aemd.record.reader import open_map
-from aemd.record.rows import rows_at
+from aemd.record.rows import concatenate, rows_at
 from aemd.record.scalar import FixedRow, Numbers, UnknownEncodingError, numbers_of
 from aemd.record.span import HEAD, Span, spans
 from aemd.record.walk import Record, has_end, parse, walk
@@ -70,6 +70,7 @@ class ForeignRecording:
         """Every Metadata record by its name; one that comes twice adds to the first."""
         self._schemas: dict[int, Schema] = {}
         self._by_id: dict[int, Channel] = {}
+        self._counted: dict[int, int] = {}
         try:
             self._scan()
             self._topic, self._field, self._numbers = self._choose(selection)
@@ -84,6 +85,11 @@ class ForeignRecording:
     def channels(self) -> dict[str, Channel]:
         """By topic; of several channels on a topic, the first."""
         return {channel.topic: channel for channel in reversed(self._by_id.values())}
+
+    @property
+    def readings_told(self) -> int | None:
+        """How many readings there are as the file's summary says; None where it does not."""
+        return sum(self._counted.get(number, 0) for number in self._numbers) or None
 
     @property
     def size_bytes(self) -> int:
@@ -105,12 +111,33 @@ class ForeignRecording:
     def verify(self) -> None:
         """Do nothing: chunks are held against their checksums when they are read."""
 
-    def batches(self) -> Iterator[Batch]:
+    def batches(self, batch_readings: int | None = None) -> Iterator[Batch]:
         """Yield the readings in order.
+
+        Args:
+            batch_readings: readings in each batch but the last; None for as many as each chunk holds.
 
         Raises:
             RecordingError: the file is damaged, or its time steps back.
         """
+        held = np.empty(0, READING)
+        for block in self._blocks():
+            if batch_readings is None:
+                yield Batch(block)
+                continue
+            held = concatenate([held, block])
+            while len(held) > batch_readings:
+                yield Batch(held[:batch_readings])
+                held = held[batch_readings:]
+        if len(held):
+            yield Batch(held)
+
+    def batches_with_estimates(self, batch_readings: int | None = None) -> Iterator[tuple[Batch, Estimates]]:
+        """Yield the same, without estimates: a file of another program has none."""
+        for batch in self.batches(batch_readings):
+            yield batch, np.empty(0, ESTIMATE)
+
+    def _blocks(self) -> Iterator[Block]:
         index, last_ns = 0, 0
         for t_ns, values in self._columns():
             usable = np.isfinite(values)
@@ -124,13 +151,8 @@ class ForeignRecording:
                     f"{self.path}: message {index + int(falls[0])} of {self._topic} is earlier than the one before; "
                     "take the other time by --time, or sort the file, as `mcap sort` does"
                 )
-            yield Batch(block)
+            yield block
             index, last_ns = index + len(t_ns), int(t_ns[-1])
-
-    def batches_with_estimates(self) -> Iterator[tuple[Batch, Estimates]]:
-        """Yield the same, without estimates: a file of another program has none."""
-        for batch in self.batches():
-            yield batch, np.empty(0, ESTIMATE)
 
     # What there is.
 
@@ -164,6 +186,8 @@ class ForeignRecording:
                 case Opcode.CHANNEL:
                     channel = parse(Channel, body, whole)
                     self._by_id.setdefault(channel.id, channel)
+                case Opcode.STATISTICS:
+                    self._counted = parse(Statistics, body, whole).channel_message_counts
                 case Opcode.METADATA:
                     told = parse(Metadata, body, whole)
                     self.metadata.setdefault(told.name, {}).update(told.metadata)

@@ -11,7 +11,7 @@ from aemd.record.reader import Recording, open_map
 from aemd.record.schema import RAW
 from aemd.record.walk import parse, walk
 
-__all__ = ["Readings", "Selection", "open_readings"]
+__all__ = ["Readings", "Selection", "open_readings", "readings_told"]
 
 Readings = Recording | ForeignRecording
 
@@ -31,6 +31,14 @@ def open_readings(path: Path, selection: Selection | None = None, *, allow_unfin
     if not selection and (path.suffix == ".active" or _is_ours(path)):
         return Recording(path, allow_unfinished=allow_unfinished)
     return ForeignRecording(path, selection or Selection())
+
+
+def readings_told(recording: Readings) -> int | None:
+    """Return how many readings a file says it has, without counting; None where it does not say."""
+    if isinstance(recording, ForeignRecording):
+        return recording.readings_told
+    said = recording.metadata.get("aemd.close", {}).get("readings", "")
+    return int(said) if said.isdecimal() else None
 
 
 def _is_ours(path: Path) -> bool:

@@ -1,6 +1,7 @@
-"""Tables in and out: a CSV log becomes a recording, a recording becomes CSV or Parquet."""
+"""Tables in and out: a CSV log or a foreign MCAP file becomes a recording, a recording becomes CSV or Parquet."""
 
+from aemd.tables.foreign import import_mcap
 from aemd.tables.read import ImportSummary, import_csv
 from aemd.tables.write import ExportSummary, export
 
-__all__ = ["ExportSummary", "ImportSummary", "export", "import_csv"]
+__all__ = ["ExportSummary", "ImportSummary", "export", "import_csv", "import_mcap"]

@@ -26,11 +26,11 @@ from aemd.errors import RecordingError, UsageError
 from aemd.record.description import Description
 from aemd.record.writer import Recorder
 
-__all__ = ["ImportSummary", "import_csv"]
+__all__ = ["PER_VOLT", "ImportSummary", "import_csv"]
 
 _BLOCK_READINGS = 65_536  # in memory at a time
 # Volts are 1/1000 of millivolts, and 1000 is a double where 0.001 is none: dividing rounds once.
-_PER_VOLT = {"V": 1.0, "mV": 1e3, "uV": 1e6, "\u00b5V": 1e6, "\u03bcV": 1e6, "nV": 1e9}  # both signs that look like µ
+PER_VOLT = {"V": 1.0, "mV": 1e3, "uV": 1e6, "\u00b5V": 1e6, "\u03bcV": 1e6, "nV": 1e9}  # both signs that look like µ
 _LAST_S = 9_200_000_000  # the year 2261; nanoseconds beyond it leave 64 bits
 _NO_EPOCH_BEFORE_NS = 10**17  # 1973: no log that counts from 1970 is older, and no other one as long
 
@@ -83,7 +83,7 @@ def import_csv(path: Path, out: Path, *, unit: str = "V", scale: float = 1.0) ->
         invalid = 0
         try:
             for rows in chain([first], blocks):
-                batch = rows.to_batch(scale, _PER_VOLT.get(unit, 1.0))
+                batch = rows.to_batch(scale, PER_VOLT.get(unit, 1.0))
                 invalid += int(np.count_nonzero(batch.readings["status"]))
                 recorder.write(batch, np.empty(0, ESTIMATE))
         except BaseException:
@@ -229,7 +229,7 @@ def _interval_s(t_ns: NDArray[np.int64]) -> float:
 def _describe_import(
     path: Path, witnesses: Sequence[str], t_ns: NDArray[np.int64], interval_s: float, unit: str, scale: float
 ) -> Description:
-    in_volts = unit in _PER_VOLT
+    in_volts = unit in PER_VOLT
     if int(t_ns[0]) < _NO_EPOCH_BEFORE_NS:
         epoch = "unknown: the column's 0 is written as 1970-01-01"
     else:

@@ -12,17 +12,20 @@ from typing import IO, Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
+from rich.console import Console
 
 from aemd.block import ESTIMATE, READING, Block, Estimates
+from aemd.display import advancing
 from aemd.errors import RecordingError, UsageError
-from aemd.record.reader import Recording
 from aemd.record.rows import concatenate
 from aemd.record.schema import FILTERED
+from aemd.record.source import Readings, Selection, open_readings, readings_told
 
-__all__ = ["ExportSummary", "export"]
+__all__ = ["ExportSummary", "export", "paired"]
 
 _BLOCK_READINGS = 65_536  # in memory at a time, and in a row group of a Parquet file
 _MOST_LAG = 1 << 20  # readings that wait for their estimate; beyond it there will be none
@@ -38,7 +41,9 @@ class ExportSummary:
     estimates: int
 
 
-def export(path: Path, out: Path) -> ExportSummary:
+def export(
+    path: Path, out: Path, *, selection: Selection | None = None, console: Console | None = None
+) -> ExportSummary:
     """Write a recording as a table with the columns index, time_s, value_V, status, estimate_V, sigma_V, window.
 
     `time_s` counts from 1970 (UTC). In CSV it is an exact decimal; in Parquet it is a double, which at today's date is
@@ -48,26 +53,32 @@ def export(path: Path, out: Path) -> ExportSummary:
     Args:
         path: the recording.
         out: the new table; its suffix, .csv or .parquet, says which.
+        selection: which number of the file is the reading, where it is not a recording of ours.
+        console: where progress is shown; None for nowhere.
 
     Raises:
-        UsageError: the suffix is neither.
+        UsageError: the suffix is neither, or no such topic or field.
         RecordingError: the recording cannot be read, or the table exists or cannot be written.
     """
     if out.suffix not in (".csv", ".parquet"):
         raise UsageError(f"{out}: the name of a table must end in .csv or .parquet")
     readings = estimates = 0
-    with Recording(path) as recording, _create(out) as file:
+    with open_readings(path, selection) as recording, _create(out) as file:
         is_text = out.suffix == ".csv"
         schema = _schema(recording, is_text=is_text)
-        with _open_table(file, schema, is_text=is_text) as table:
-            for block, place, made in _paired(recording):
+        with (
+            _open_table(file, schema, is_text=is_text) as table,
+            advancing(readings_told(recording), console) as bar,
+        ):
+            for block, place, made in paired(recording):
+                bar(len(block))
                 table.write(pa.record_batch(_columns(block, place, made, is_text=is_text), schema=schema))
                 readings += len(block)
                 estimates += len(made)
     return ExportSummary(file=str(path), out=str(out), readings=readings, estimates=estimates)
 
 
-def _schema(recording: Recording, *, is_text: bool) -> pa.Schema:
+def _schema(recording: Readings, *, is_text: bool) -> pa.Schema:
     unit = {"unit": recording.description.unit}
     fields = [
         pa.field("index", pa.int64()),
@@ -93,10 +104,9 @@ def _columns(block: Block, place: NDArray[np.intp], made: Estimates, *, is_text:
         return pa.array(column, mask=missing)
 
     t_ns = block["t_ns"]
-    exact = (f"{t // 10**9}.{t % 10**9:09d}" for t in t_ns.tolist())
     return [
         pa.array(block["index"]),
-        pa.array(exact, pa.string()) if is_text else pa.array(t_ns / 1e9),
+        _decimal(t_ns) if is_text else pa.array(t_ns / 1e9),
         pa.array(block["value_V"]),
         pa.array(block["status"]),
         spread("value_V"),
@@ -105,7 +115,13 @@ def _columns(block: Block, place: NDArray[np.intp], made: Estimates, *, is_text:
     ]
 
 
-def _paired(recording: Recording) -> Iterator[tuple[Block, NDArray[np.intp], Estimates]]:
+def _decimal(t_ns: NDArray[np.int64]) -> Any:
+    """Return instants as exact decimals of seconds."""
+    whole, rest = (pa.array(part).cast(pa.string()) for part in np.divmod(t_ns, 10**9))
+    return pc.binary_join_element_wise(whole, pc.utf8_lpad(rest, 9, "0"), ".")
+
+
+def paired(recording: Readings) -> Iterator[tuple[Block, NDArray[np.intp], Estimates]]:
     """Yield blocks of readings with their estimates, and where in the block each of these belongs."""
     readings, estimates = np.empty(0, READING), np.empty(0, ESTIMATE)
     lag = _MOST_LAG if FILTERED in recording.channels else 0

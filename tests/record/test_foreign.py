@@ -141,6 +141,15 @@ def test_a_number_deep_in_a_message_of_fixed_width_is_taken_from_the_row(tmp_pat
     _assert_read(readings)
 
 
+def test_fields_in_another_order_than_the_schemas_are_found_all_the_same(tmp_path: Path) -> None:
+    kind = _message("Pair", {"first": (1, "double"), "second": (2, "double")}, optional=True)
+    payloads = [kind(first=value, second=-value).SerializeToString() for value in (1.0, 2.0)]
+    payloads.append(payloads[1][9:] + payloads[1][:9])  # any order is valid protobuf
+    path = _write(tmp_path / "v.mcap", "protobuf", payloads, ("lab.Pair", kind.schema_data))
+
+    assert _read(path, field="first")["value_V"].tolist() == [1.0, 2.0, 2.0]
+
+
 def _schema(name: str, data: bytes) -> Schema:
     return Schema(1, data, "protobuf", name)
 
