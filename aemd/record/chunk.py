@@ -67,7 +67,7 @@ def decode_chunk(
     try:
         starts = _starts_by_index(indexes, octets, kinds)
         return _decode(octets, starts, kinds, wanted, base), len(data)
-    except _Misplaced:
+    except (_Misplaced, DecodeError):
         pass  # the index is a hint: no CRC of its own covers it
     try:
         return _decode(octets, _starts_by_walking(data), kinds, wanted, base), len(data)
@@ -115,7 +115,7 @@ def open_chunk(record: bytes, indexes: Iterable[bytes], kinds: Mapping[int, Mess
     try:
         starts = _starts_by_index(indexes, octets, kinds)
         piece = _decode(octets, starts, kinds, topics, 0)
-    except _Misplaced:
+    except (_Misplaced, DecodeError):
         try:
             starts = _starts_by_walking(data)
             piece = _decode(octets, starts, kinds, topics, 0)

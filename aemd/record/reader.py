@@ -77,7 +77,8 @@ class Recording:
         try:
             self.is_finished = has_end(self._map)
             """Whether the file was closed in order."""
-            self._kinds = self._scan(allow_unfinished=allow_unfinished)
+            self.kinds = self._scan(allow_unfinished=allow_unfinished)
+            """What the messages of our channels are, by channel number."""
             self.description = self._describe()
         except BaseException:
             self.close()
@@ -312,7 +313,7 @@ class Recording:
         for chunk, indexes in self._chunks():
             bodies = (self._map[index.begin : index.end] for index in indexes)
             try:
-                piece, length = decode_chunk(self._map[chunk.begin : chunk.end], bodies, self._kinds, topics, base)
+                piece, length = decode_chunk(self._map[chunk.begin : chunk.end], bodies, self.kinds, topics, base)
             except BadChunkError as error:
                 raise RecordingError(f"{self.path}: is damaged: its chunk at byte {chunk.at} {error}") from error
             base += length

@@ -1,0 +1,51 @@
+"""Commands on files: recover what a crash has left, check, compact."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from aemd.cli.common import Json, app, show
+
+
+@app.command()
+def recover(
+    file: Annotated[Path, typer.Argument(metavar="FILE.mcap.active", help="What a crash or a power cut has left.")],
+    json: Json = False,
+) -> None:
+    """Finish an unfinished or damaged recording in place, and say what was lost; it becomes FILE.mcap."""
+    from aemd.record.recovery import recover as finish
+
+    show(finish(file), "Recovered", json=json)
+
+
+@app.command()
+def check(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings.")],
+    json: Json = False,
+) -> None:
+    """Say whether recordings are whole: checksums, indexes, continuity; exit code 1 if one is not."""
+    from aemd.errors import RecordingError
+    from aemd.record.check import CheckResult
+    from aemd.record.check import check as inspect
+    from aemd.report import as_json
+
+    results = []
+    for file in files:
+        try:
+            result = inspect(file)
+        except RecordingError as error:  # the others are checked all the same
+            finding = str(error).removeprefix(f"{file}: ")
+            result = CheckResult(str(file), False, (finding,), (), chunks=0, readings=0, estimates=0, lost=0, gaps=0)
+        results.append(result)
+        if not json:
+            for finding in result.findings:
+                print(f"{file}: {finding}")
+            for note in result.notes:
+                print(f"{file}: note: {note}")
+            if result.whole:
+                print(f"{file}: whole: {result.readings} readings, {result.estimates} estimates, {result.lost} lost")
+    if json:
+        print(as_json(results))
+    if not all(result.whole for result in results):
+        raise typer.Exit(1)

@@ -1,0 +1,319 @@
+"""Check: does a recording hold together? Its checksums, its indexes, its numbers against its content.
+
+Chunk by chunk, so that a file of any size takes no memory; every finding is one line that says what and where.
+"""
+
+import mmap
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mcap import records
+from mcap.opcode import Opcode
+from mcap.records import AttachmentIndex, ChunkIndex, Footer, MetadataIndex
+from mcap.writer import MCAP0_MAGIC
+
+from aemd.block import Batch, Estimates
+from aemd.errors import RecordingError
+from aemd.record.chunk import BadChunkError, Contents, FullIndexes, open_chunk
+from aemd.record.counts import Counts
+from aemd.record.cut import make_batch
+from aemd.record.description import read_parameters
+from aemd.record.reader import Recording, open_map
+from aemd.record.walk import DAMAGED, Record, has_end, parse, walk
+
+__all__ = ["CheckResult", "check"]
+
+_MOST_FINDINGS = 20  # a file that is wrong throughout is not told of chunk by chunk
+
+
+@dataclass(frozen=True, slots=True)
+class CheckResult:
+    """What a check found."""
+
+    file: str
+    whole: bool
+    """Whether there is no finding."""
+    findings: tuple[str, ...]
+    """What is wrong, and where."""
+    notes: tuple[str, ...]
+    """What is no fault of the file: readings that were lost and are told of, stretches that recovery passed over."""
+    chunks: int
+    readings: int
+    estimates: int
+    lost: int
+    gaps: int
+
+
+def check(path: Path) -> CheckResult:
+    """Hold everything in the recording that can be held against something else.
+
+    Raises:
+        RecordingError: it cannot be read at all, or is none of our recordings.
+    """
+    with open_map(path) as octets, Recording(path, allow_unfinished=True) as recording:
+        return _Checker(path, octets, recording).run()
+
+
+class _Checker:
+    def __init__(self, path: Path, octets: mmap.mmap, recording: Recording) -> None:
+        self._path, self._octets, self._recording = path, octets, recording
+        self._findings: list[str] = []
+        self._unsaid = 0
+        self._notes: list[str] = []
+        first_index = recording.description.first_index
+        self._counts = Counts(first_index)
+        self._full = FullIndexes(first_index)
+        self._messages: dict[int, int] = {}
+        self._chunks = 0
+        self._log_time_ns = 0
+        self._jumps: dict[tuple[int, int], int] = {}
+        """First and last index of each loss that no event has told of yet, and the chunk behind it."""
+        self._told: set[tuple[int, int]] = set()
+        self._last = (-1, -1)
+        """Index of the first reading, and of the last one."""
+        self._estimate_first = self._estimate_last = -1
+        self._kinds = recording.kinds
+
+    def run(self) -> CheckResult:
+        summarised = self._summarised()
+        noted = {Opcode.METADATA: 0, Opcode.ATTACHMENT: 0}
+        for chunk, indexes in self._records(noted):
+            self._take(chunk, indexes, next(summarised, None))
+        if (extra := next(summarised, None)) is not None:
+            self._find(f"the summary tells of a chunk at byte {extra.chunk_start_offset} that is not there")
+        self._hold_jumps()
+        self._hold_estimates()
+        if has_end(self._octets):
+            self._hold_end(noted)
+        else:
+            self._find("it has no end: it was not finished; `aemd recover` finishes it")
+        if self._unsaid:
+            self._findings.append(f"and {self._unsaid} more")
+        if self._counts.lost:
+            self._notes.append(f"{self._counts.lost} readings lost in {self._counts.gaps} places, and told of")
+        return CheckResult(
+            file=str(self._path),
+            whole=not self._findings,
+            findings=tuple(self._findings),
+            notes=tuple(self._notes),
+            chunks=self._chunks,
+            readings=self._counts.readings,
+            estimates=self._counts.estimates,
+            lost=self._counts.lost,
+            gaps=self._counts.gaps,
+        )
+
+    def _find(self, finding: str) -> None:
+        if len(self._findings) < _MOST_FINDINGS:
+            self._findings.append(finding)
+        else:
+            self._unsaid += 1
+
+    def _records(self, noted: dict[Opcode, int]) -> Iterator[tuple[Record, list[Record]]]:
+        """Yield each chunk with the message indexes behind it, and count the other records of the data section."""
+        chunk, indexes, end = None, list[Record](), len(MCAP0_MAGIC)
+        for record in walk(self._octets):
+            end = record.end
+            if record.opcode == Opcode.MESSAGE_INDEX:
+                indexes.append(record)
+                continue
+            if chunk is not None:
+                yield chunk, indexes
+            chunk, indexes = (record if record.opcode == Opcode.CHUNK else None), []
+            if record.opcode in noted:
+                noted[Opcode(record.opcode)] += 1
+            elif record.opcode == DAMAGED:
+                length = record.end - record.at
+                self._notes.append(f"{length} bytes at byte {record.at} are damaged; recovery passed over them")
+            elif record.opcode == Opcode.DATA_END:
+                return
+        if chunk is not None:
+            yield chunk, indexes
+        if end != len(self._octets):
+            self._find(f"no record at byte {end}")
+
+    def _summarised(self) -> Iterator[ChunkIndex]:
+        """Yield the chunk indexes of the summary."""
+        footer = self._footer()
+        if footer is None or not footer.summary_start:
+            return
+        for record in walk(self._octets, footer.summary_start):
+            if record.opcode == Opcode.CHUNK_INDEX:
+                try:
+                    yield parse(ChunkIndex, self._octets, record)
+                except ValueError as error:
+                    self._find(f"the summary is damaged: {error}")
+
+    def _footer(self) -> Footer | None:
+        if not has_end(self._octets):
+            return None
+        at = len(self._octets) - len(MCAP0_MAGIC) - 20 - 9
+        found = next(walk(self._octets, at), None)
+        return None if found is None else parse(Footer, self._octets, found)
+
+    # Chunks.
+
+    def _take(self, chunk: Record, indexes: list[Record], told: ChunkIndex | None) -> None:
+        self._chunks += 1
+        place = f"the chunk at byte {chunk.at}"
+        bodies = [self._octets[index.begin : index.end] for index in indexes]
+        try:
+            contents = open_chunk(self._octets[chunk.begin : chunk.end], bodies, self._kinds)
+        except BadChunkError as error:
+            self._find(f"{place} {error}")
+            return
+        self._hold_index(place, chunk, indexes, contents, told)
+        self._hold_times(place, contents)
+        for channel, count in contents.messages.items():
+            self._messages[channel] = self._messages.get(channel, 0) + count
+        self._full.restore(contents.piece)
+        batch, estimates = make_batch(contents.piece)
+        self._hold_continuity(place, batch)
+        self._hold_pairs(place, estimates)
+        self._counts.add(batch, estimates)
+
+    def _hold_index(
+        self, place: str, chunk: Record, indexes: list[Record], contents: Contents, told: ChunkIndex | None
+    ) -> None:
+        wanted = contents.index_records()
+        held = {int.from_bytes(self._octets[index.begin : index.begin + 2], "little"): index for index in indexes}
+        held = {channel: index for channel, index in held.items() if channel in wanted}
+        if wanted.keys() != held.keys():
+            self._find(f"{place} has message indexes of channels {sorted(held)} instead of {sorted(wanted)}")
+        for channel, index in held.items():
+            if self._octets[index.at : index.end] != wanted[channel]:
+                self._find(f"the message index at byte {index.at} does not agree with its chunk")
+        if told is None:
+            if has_end(self._octets):
+                self._find(f"the summary does not tell of {place}")
+            return
+        made = contents.chunk_index(chunk.at, chunk.end - chunk.at, chunk.end)
+        offsets = {channel: index.at for channel, index in held.items()}
+        for name in ("chunk_start_offset", "chunk_length", "message_start_time", "message_end_time", "compression"):
+            if getattr(told, name) != getattr(made, name):
+                self._find(f"the summary tells of {place} that its {name} is {getattr(told, name)}")
+        if {channel: at for channel, at in told.message_index_offsets.items() if channel in offsets} != offsets:
+            self._find(f"the summary does not tell where the message indexes of {place} are")
+
+    def _hold_times(self, place: str, contents: Contents) -> None:
+        times, head = contents.rows.log_time, contents.head
+        if not len(times):
+            return
+        if times[0] < self._log_time_ns or (times[1:] < times[:-1]).any():
+            self._find(f"{place} has a log time before that of the message before it")
+        self._log_time_ns = max(self._log_time_ns, int(times.max()))
+        if (head.message_start_time, head.message_end_time) != (times.min(), times.max()):
+            self._find(f"{place} says that it begins or ends at another time than its messages do")
+
+    def _hold_continuity(self, place: str, batch: Batch) -> None:
+        self._told |= {(event.first_index, event.last_index) for event in batch.events if event.last_index >= 0}
+        index = batch.readings["index"]
+        if not len(index):
+            return
+        self._last = (self._last[0] if self._last[0] >= 0 else int(index[0]), int(index[-1]))
+        before = np.concatenate([[self._counts.next_index - 1], index[:-1]])
+        steps = index - before
+        if (steps < 1).any():
+            self._find(
+                f"{place} has reading {index[np.argmax(steps < 1)]} after reading {before[np.argmax(steps < 1)]}"
+            )
+        for at in np.flatnonzero(steps > 1).tolist():
+            self._jumps[int(before[at]) + 1, int(index[at]) - 1] = self._chunks
+        self._jumps = {jump: chunk for jump, chunk in self._jumps.items() if jump not in self._told}
+
+    def _hold_jumps(self) -> None:
+        """Say which losses no event tells of; one may tell of a part, and another of the rest."""
+        spans = sorted(self._told)
+        for first, last in sorted(self._jumps):
+            begin = first
+            for told_first, told_last in spans:
+                if told_first <= begin <= told_last:
+                    begin = told_last + 1
+            if begin <= last:
+                self._find(f"readings {begin} to {last} are missing, and no event tells of it")
+
+    def _hold_pairs(self, place: str, estimates: Estimates) -> None:
+        index = estimates["index"]
+        if not len(index):
+            return
+        if self._estimate_first < 0:
+            self._estimate_first = int(index[0])
+        before = np.concatenate([[self._estimate_last], index[:-1]])
+        if (index <= before)[0 if self._estimate_last >= 0 else 1 :].any():
+            self._find(f"{place} has estimates out of order")
+        self._estimate_last = int(index[-1])
+
+    def _hold_estimates(self) -> None:
+        """Say whether each reading has an estimate; one that lags leaves the last ones to the next file."""
+        described = self._recording.description
+        if not described.estimator:
+            return
+        counts = self._counts
+        lag = _lag(described.estimator)
+        if abs(counts.readings - counts.estimates) > lag:
+            self._find(f"it has {counts.readings} readings and {counts.estimates} estimates")
+        elif not lag and self._last != (self._estimate_first, self._estimate_last):
+            self._find(
+                f"its readings are {self._last[0]} to {self._last[1]}, and its estimates are of readings "
+                f"{self._estimate_first} to {self._estimate_last}"
+            )
+
+    # The end.
+
+    def _hold_end(self, noted: Mapping[Opcode, int]) -> None:
+        try:
+            self._recording.verify()
+        except RecordingError as error:
+            self._find(str(error).removeprefix(f"{self._path}: "))
+        footer = self._footer()
+        if footer is None or not footer.summary_start:
+            self._find("it has no summary")
+            return
+        told: dict[int, int] = {}
+        for record in walk(self._octets, footer.summary_start):
+            told[record.opcode] = told.get(record.opcode, 0) + 1
+            if record.opcode in {Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX}:
+                self._hold_place(record)
+            elif record.opcode == Opcode.STATISTICS:
+                self._hold_statistics(parse(records.Statistics, self._octets, record))
+        for opcode, indexed in ((Opcode.METADATA, Opcode.METADATA_INDEX), (Opcode.ATTACHMENT, Opcode.ATTACHMENT_INDEX)):
+            if told.get(indexed, 0) != noted[opcode]:
+                name = opcode.name.lower()
+                self._find(f"it has {noted[opcode]} {name} records, and its summary tells of {told.get(indexed, 0)}")
+        self._hold_close()
+
+    def _hold_place(self, record: Record) -> None:
+        told: MetadataIndex | AttachmentIndex
+        if record.opcode == Opcode.METADATA_INDEX:
+            told, opcode = parse(MetadataIndex, self._octets, record), Opcode.METADATA
+        else:
+            told, opcode = parse(AttachmentIndex, self._octets, record), Opcode.ATTACHMENT
+        found = next(walk(self._octets, told.offset), None)
+        if found is None or found.opcode != opcode or found.end - found.at != told.length:
+            name = opcode.name.lower()
+            self._find(f"the summary tells of {name} {told.name!r} at byte {told.offset}; it is not there")
+
+    def _hold_statistics(self, told: records.Statistics) -> None:
+        counts = {channel: count for channel, count in told.channel_message_counts.items() if count}
+        if counts != self._messages:
+            self._find(f"its statistics tell of {counts} messages by channel; it holds {self._messages}")
+        if told.chunk_count != self._chunks:
+            self._find(f"its statistics tell of {told.chunk_count} chunks; it holds {self._chunks}")
+
+    def _hold_close(self) -> None:
+        close = self._recording.metadata.get("aemd.close")
+        if close is None:
+            self._find("it has no closing note: the program that made it did not finish it")
+            return
+        for name in ("readings", "estimates", "lost", "next_index"):
+            if name in close and close[name] != str(getattr(self._counts, name)):
+                self._find(f"its closing note tells of {name} = {close[name]}; it is {getattr(self._counts, name)}")
+
+
+def _lag(estimator: Mapping[str, str]) -> int:
+    try:
+        return int(read_parameters(estimator)[1].get("lag", 0))
+    except ValueError:
+        return 0
