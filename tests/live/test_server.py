@@ -145,7 +145,7 @@ def test_tokens_are_long_and_differ() -> None:
     assert re.fullmatch(r"[A-Za-z0-9_-]{24}", make_token())
 
 
-@pytest.mark.parametrize("path", (*PATHS, "/nothing"))
+@pytest.mark.parametrize("path", [*PATHS, "/nothing"])
 def test_every_answer_forbids_what_the_page_does_not_need(path: str, bench: Bench) -> None:
     with serving(bench) as server:
         headers = ask(server, path)[1]
