@@ -24,6 +24,7 @@ from aemd.record.description import Description, read_parameters, write_paramete
 from aemd.shipped import read_shipped
 
 __all__ = [
+    "AcquisitionOptions",
     "Config",
     "EstimatorChoice",
     "RecordingOptions",
@@ -58,6 +59,14 @@ class Scale:
             raise ValueError(f"factor = {self.factor}: must be finite and not zero")
         if not math.isfinite(self.offset):
             raise ValueError(f"offset = {self.offset}: must be finite")
+
+
+@dataclass(frozen=True, slots=True)
+class AcquisitionOptions:
+    """What becomes of an acquisition whose instrument is lost."""
+
+    give_up_s: Annotated[float, Gt(0)] | None = None
+    """How long to try to have a lost link back, s; absent for without end. A first connection is tried once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +119,7 @@ class Config:
     """The simulator's Options; None where the resource is not `sim`."""
     estimator: EstimatorChoice
     scale: Scale = field(default_factory=Scale)
+    acquisition: AcquisitionOptions = field(default_factory=AcquisitionOptions)
     recording: RecordingOptions = field(default_factory=RecordingOptions)
     live: LiveOptions = field(default_factory=LiveOptions)
     text: str = ""
@@ -132,6 +142,7 @@ class Config:
             "instrument": {"driver": self.driver, "resource": self.resource, **asdict(self.instrument)},
             **self.estimator.as_table(),
             "scale": asdict(self.scale),
+            "acquisition": asdict(self.acquisition),
             "recording": asdict(self.recording),
             "live": asdict(self.live),
         }
@@ -166,6 +177,17 @@ def load_estimator(path: Path) -> EstimatorChoice:
     return choose_estimator(table, str(path))
 
 
+def load_simulator(path: Path, config: Config) -> Config:
+    """Return a config whose simulator has the options of a file instead, such as the faults of `[[faults]]` tables.
+
+    Raises:
+        ConfigError: the file cannot be read, is not TOML, has an unknown option, or says something that cannot be.
+    """
+    table = _read_toml(_read_text(path), str(path))
+    options = parse_options(find_simulator(config.driver).Options, table, str(path), "simulator")
+    return replace(config, simulator=replace(config.simulator, **{key: getattr(options, key) for key in table}))
+
+
 def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
@@ -183,7 +205,7 @@ def _read_toml(text: str, place: str) -> dict[str, Any]:
 
 
 def _parse(tables: Mapping[str, Any], place: str, text: str) -> Config:
-    known = ("instrument", "simulator", "estimator", "scale", "recording", "live")
+    known = ("instrument", "simulator", "estimator", "scale", "acquisition", "recording", "live")
     for key, value in tables.items():
         if key not in known:
             raise ConfigError(f"{place}: {_unknown(key, known)}")
@@ -211,6 +233,7 @@ def _parse(tables: Mapping[str, Any], place: str, text: str) -> Config:
         simulator=simulator,
         estimator=choose_estimator(dict(tables.get("estimator", {})), place),
         scale=parse_options(Scale, tables.get("scale", {}), place, "scale"),
+        acquisition=parse_options(AcquisitionOptions, tables.get("acquisition", {}), place, "acquisition"),
         recording=parse_options(RecordingOptions, tables.get("recording", {}), place, "recording"),
         live=parse_options(LiveOptions, tables.get("live", {}), place, "live"),
         text=text,

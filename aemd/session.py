@@ -45,6 +45,7 @@ class AcquireSummary:
     readings: int
     lost: int
     gaps: int
+    outages: int
     rate_hz: float
     duration_s: float
     estimator: str
@@ -121,7 +122,7 @@ def acquire(
         recorder = Background(file := _open_recorder(config, instrument, folder))
         sources = Sources(tally.counts, unwritten=lambda: recorder.in_flight, file=lambda: file.active)
         failure: InstrumentError | None = None
-        acquisition = Acquisition(instrument, most_readings=most)
+        acquisition = Acquisition(instrument, most_readings=most, give_up_s=config.acquisition.give_up_s)
         notifier.ready(f"acquiring {folder.absolute()}")
         try:
             with (
@@ -150,6 +151,7 @@ def acquire(
         readings=tally.counts.readings,
         lost=tally.counts.lost,
         gaps=tally.counts.gaps,
+        outages=acquisition.outages,
         rate_hz=tally.rate_hz,
         duration_s=tally.duration_s,
         estimator=config.estimator.name,

@@ -7,7 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from aemd.config import EstimatorChoice, RecordingOptions, Scale, load_config, name_estimator, recorded_estimator
+from aemd.config import (
+    AcquisitionOptions,
+    EstimatorChoice,
+    RecordingOptions,
+    Scale,
+    load_config,
+    name_estimator,
+    recorded_estimator,
+)
 from aemd.errors import ConfigError, UsageError
 from aemd.estimate.aem import AemOptions
 from aemd.record.description import Description
@@ -89,6 +97,7 @@ def test_the_bench_config_shows_every_key_with_its_default() -> None:
         "instrument": config.instrument,
         "estimator": AemOptions(),
         "scale": Scale(),
+        "acquisition": AcquisitionOptions(),
         "recording": RecordingOptions(),
     }
 

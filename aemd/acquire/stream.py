@@ -296,7 +296,7 @@ class Stream:
             self._sampling = True
             self.ledger.go_on()
             self._next_look_ns = self._newest_ns = self._clock()
-            yield self._back(began_ns, recovery.how)
+            yield from self._back(began_ns, recovery.how)
             return
         if self._missing() <= 0 or self._told_to_stop:
             return
@@ -307,7 +307,7 @@ class Stream:
         missed = self.ledger.restart(asked_ns, self._clock(), why)
         self._begun()
         yield self._delivery(missed)
-        yield self._back(began_ns, f"{recovery.how}; sampling anew, because {why}")
+        yield from self._back(began_ns, f"{recovery.how}; sampling anew, because {why}")
 
     def _grows(self) -> Generator[Delivery, None, bool]:
         """Tell whether readings come in, whatever the instrument says of its state."""
@@ -316,8 +316,12 @@ class Stream:
         yield from self._take_rest()
         return self._taken + self._left > before
 
-    def _back(self, began_ns: int, how: str) -> Delivery:
-        return self._told("link", f"back after {(self._clock() - began_ns) * 1e-9:.3f} s: {how}")
+    def _back(self, began_ns: int, how: str) -> Iterator[Delivery]:
+        """Look; only an instrument that can be looked at is back."""
+        delivery = self._look()
+        yield self._told("link", f"back after {(self._clock() - began_ns) * 1e-9:.3f} s: {how}")
+        if delivery is not None:
+            yield delivery
 
     # -- the end -----------------------------------------------------------------------------------------------------
 

@@ -84,7 +84,7 @@ ODD_ANSWERS = {
     "SAMP:COUN?": (b"nan", "SAMP:COUN?: the answer 'nan' is not a number above 0"),
     "SAMP:TIM?": (b"inf", "SAMP:TIM?: the answer 'inf' is not a number above 0"),
     "SYST:LFR?": (b"0", "SYST:LFR?: the answer '0' is not a number above 0"),
-    "DATA:POIN?;:STAT:QUES:EVEN?": (b"-5;0", "the answer '-5;0' is not two numbers"),
+    "STAT:OPER:ENAB?;:DATA:POIN?;:STAT:QUES:EVEN?": (b"1;-5;0", "the answer '1;-5;0' is not 3 numbers"),
 }
 
 
@@ -101,7 +101,10 @@ def odd(question: str, answer: bytes) -> Iterator[str]:
                     meter.sendall(line)
                     if b"?" in line:
                         said = meter.recv(1 << 16)
-                        client.sendall(answer + b"\n" if line.strip().decode() == question else said)
+                        # Of a numbered message, whose last answer is its number.
+                        asked = line.strip().decode().removesuffix(";:STAT:QUES:ENAB?")
+                        is_it = asked.split(";:", 1)[-1] == question
+                        client.sendall(answer + b";" + said.rpartition(b";")[2] if is_it else said)
 
         thread = threading.Thread(target=serve, daemon=True)
         thread.start()
@@ -112,8 +115,10 @@ def odd(question: str, answer: bytes) -> Iterator[str]:
 @pytest.mark.parametrize("question", ODD_ANSWERS)
 def test_a_meter_whose_answers_make_no_sense_is_refused(question: str, aemd: Run, tmp_path: Path) -> None:
     answer, says = ODD_ANSWERS[question]
+    config = tmp_path / "c.toml"
     with odd(question, answer) as resource:
-        code, out, err = aemd("acquire", "--resource", resource, "--seconds", 1, "--out", tmp_path)
+        config.write_text(f'[instrument]\nresource = "{resource}"\n[acquisition]\ngive_up_s = 0.3\n')
+        code, out, err = aemd("acquire", config, "--seconds", 1, "--out", tmp_path)
 
     line = err.strip().splitlines()[-1]
     assert code == 1
