@@ -32,6 +32,7 @@ __all__ = [
     "choose_estimator",
     "load_config",
     "load_estimator",
+    "load_simulator",
     "name_estimator",
     "parse_options",
     "recorded_estimator",

@@ -1,5 +1,6 @@
 """Commands at the bench: acquire, serve the simulated meter, check a config."""
 
+from contextlib import ExitStack
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Annotated
@@ -49,19 +50,36 @@ def sim(
         Path | None, typer.Argument(metavar="[CONFIG]", help="Config file whose [simulator] is served.")
     ] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0 takes a free one.")] = 5025,
+    vxi11_port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port of VXI-11; 0 takes a free one.")] = 0,
+    serial: Annotated[bool, typer.Option("--serial", help="Serve a serial line, too: a pseudo-terminal.")] = False,
+    faults: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="What goes wrong and when: [[faults]] tables.")
+    ] = None,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     json: Json = False,
 ) -> None:
-    """Serve the simulated meter to anyone's client, until Ctrl-C."""
-    from aemd import session
-    from aemd.config import load_config
+    """Serve the simulated meter to anyone's client, until Ctrl-C; prints a VISA resource for each of its links."""
+    from aemd.acquire.instrument import find_simulator
+    from aemd.config import load_config, load_simulator
     from aemd.report import as_json
     from aemd.service import stopping_on_signals
 
     settings = load_config(config).with_resource("sim")
+    if faults is not None:
+        settings = load_simulator(faults, settings)
+    simulator = find_simulator(settings.driver)
     stop: SimpleQueue[None] = SimpleQueue()  # its put is reentrant, as a signal handler's must be
-    with stopping_on_signals(lambda: stop.put(None)), session.simulated(settings, host, port) as resource:
-        print(as_json({"resource": resource}) if json else resource, flush=True)
+    with stopping_on_signals(lambda: stop.put(None)), ExitStack() as stack:
+        # Several links are more than a simulator owes: somebody's own may have `serve` alone.
+        if serve_links := getattr(simulator, "serve_links", None):
+            links = serve_links(settings.simulator, host, port=port, vxi11_port=vxi11_port, serial=serial)
+            resources = dict(stack.enter_context(links))
+        else:
+            resources = {"socket": stack.enter_context(simulator.serve(settings.simulator, host, port))}
+        first = next(iter(resources.values()))
+        print(
+            as_json({"resource": first, "resources": resources}) if json else "\n".join(resources.values()), flush=True
+        )
         stop.get()
 
 
