@@ -25,6 +25,7 @@ __all__ = [
     "refit",
     "residuals",
     "restart_base",
+    "steps_for",
 ]
 
 Floats = NDArray[np.float64]
@@ -38,8 +39,6 @@ _DECAYS = tuple(0.3 * 1.6**k for k in range(10))
 """Intervals that shocks of the starts take to decay."""
 _FINALISTS = 3
 """Starts that go on to a longer part of the record."""
-_STEPS = 40
-_STEPS_LONG = 15  # the likelihood of a long record is steep
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,10 +115,15 @@ def residuals(terms: Sequence[Term], theta: Floats, data: Data) -> Fit:
     )
 
 
+def steps_for(data: Data) -> int:
+    """Return how many steps a climb may take; the likelihood of a long record is steep."""
+    return 40 if data.n <= _LONG else 15
+
+
 def refit(terms: Sequence[Term], data: Data, start: Floats | None = None) -> Fit:
     """Fit all terms together, from their starts."""
     theta = np.concatenate([term.start for term in terms]) if start is None else start
-    theta, _ = climb(terms, theta, data, iterations=_STEPS if data.n <= _LONG else _STEPS_LONG)
+    theta, _ = climb(terms, theta, data, iterations=steps_for(data))
     return residuals(terms, theta, data)
 
 
@@ -127,7 +131,9 @@ def fit_base(data: Data) -> Fit:
     """Fit the base model: without shocks from the spectrum's best starts, then with shocks if they earn their keep."""
     box = base_box(data)
     starts = spectral_starts(data)[: 3 if data.n < _SHORT else 2]
-    best = race([Climb([Base(start, shocks=False, box=box)], start, data) for start in starts], _STEPS)[0].theta
+    best = race([Climb([Base(start, shocks=False, box=box)], start, data) for start in starts], steps_for(data))[
+        0
+    ].theta
     fit = residuals([Base(best, shocks=False, box=box)], best, data)
     shocked = _with_shocks(fit)
     if shocked is None or shocked.log_likelihood < fit.log_likelihood + _SHOCK_GAIN:
@@ -174,7 +180,7 @@ def _with_shocks(fit: Fit) -> Fit | None:
     for part in (few, some, data):  # each on the shoulders of the last
         if part is few or part.n > few.n:
             starts, few = [Climb(one.terms, one.theta, part) for one in starts], part
-            starts = race(starts, _STEPS if part.n <= _LONG else _STEPS_LONG)[:_FINALISTS]
+            starts = race(starts, steps_for(part))[:_FINALISTS]
     return residuals(starts[0].terms, starts[0].theta, data)
 
 
@@ -199,7 +205,7 @@ def restart_base(fit: Fit) -> Fit:
         theta = fit.theta.copy()
         theta[:5] = start[:5]
         starts.append(Climb(fit.terms, theta, data))
-    best = race(starts, _STEPS if data.n <= _LONG else _STEPS_LONG)[0]
+    best = race(starts, steps_for(data))[0]
     return residuals(fit.terms, best.theta, data) if best.value > fit.log_likelihood + _WORTH_A_RESTART else fit
 
 

@@ -11,17 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp
 
-from aemd.diagnose.fit import Fit, begin_with, climb, refit
+from aemd.diagnose.climb import Climb, race
+from aemd.diagnose.fit import Fit, begin_with, residuals, steps_for
 from aemd.diagnose.hypothesis import Term
 
 __all__ = ["Named", "name"]
 
-_SKETCH = 6
-"""Steps of each candidate's fit before those that lag behind are given up."""
-_LONG = 50_000
-"""Readings from which half as many are enough: likelihoods of long records are steep."""
-_HOPELESS = 20.0
-"""Nats that a sketch may lie behind the best; two starts of one term seldom end so far apart from where they meet."""
 _CREDIBLE = 0.95
 """The set of names holds the truth with this probability; two rivals 5.4 nats apart are told apart by it."""
 
@@ -47,31 +42,24 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
     """
     if not candidates:
         return None
-    sketches = []
-    for term in candidates:
-        theta, value = climb(
-            [*fit.terms, term], begin_with(fit, term), fit.data, _SKETCH if fit.data.n <= _LONG else _SKETCH // 2
-        )
-        sketches.append((value - term.cost_nats, theta, term))
-    near = max(worth for worth, _, _ in sketches) - _HOPELESS
-    fitted: dict[str, tuple[float, Fit, Term]] = {}
-    for sketch, theta, term in sketches:
-        if sketch < near:
-            continue
-        trial = refit([*fit.terms, term], fit.data, theta)
-        worth = trial.log_likelihood - fit.log_likelihood - term.cost_nats
-        if term.cause not in fitted or worth > fitted[term.cause][0]:
-            fitted[term.cause] = worth, trial, term
-    ranked = sorted(fitted.values(), key=lambda item: -item[0])
-    top, winner, term = ranked[0]
-    gain = winner.log_likelihood - fit.log_likelihood
+    starts = [
+        Climb([*fit.terms, term], begin_with(fit, term), fit.data, term.cost_nats)
+        for term in {repr(term): term for term in candidates}.values()  # checks that fail together nominate the same
+    ]
+    fitted: dict[str, Climb] = {}
+    for one in race(starts, steps_for(fit.data)):
+        fitted.setdefault(one.terms[-1].cause, one)
+    ranked = list(fitted.values())
+    best = ranked[0]
+    gain = best.value - fit.log_likelihood
     if gain < least_nats:
         return None
-    weights = [exp(max(worth - top, -700.0)) for worth, _, _ in ranked]
+    weights = [exp(max(one.worth - best.worth, -700.0)) for one in ranked]
     names, mass = list[str](), 0.0
-    for weight, (_, _, rival) in zip(weights, ranked, strict=True):
-        names.append(rival.cause)
+    for weight, rival in zip(weights, ranked, strict=True):
+        names.append(rival.terms[-1].cause)
         mass += weight / sum(weights)
         if mass >= _CREDIBLE:
             break
-    return Named(winner, term, tuple(names), weights[0] / sum(weights), gain)
+    winner = residuals(best.terms, best.theta, fit.data)
+    return Named(winner, best.terms[-1], tuple(names), weights[0] / sum(weights), gain)
