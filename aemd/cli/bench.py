@@ -24,6 +24,9 @@ def acquire(
     live: Annotated[
         str | None, typer.Option(metavar="[HOST:PORT]", help="Serve a live page; 127.0.0.1:8410 unless told.")
     ] = None,
+    foxglove: Annotated[
+        str | None, typer.Option(metavar="[HOST:PORT]", help="Serve the topics to Foxglove; 127.0.0.1:8765.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Acquire from a meter into a recording, estimating online, until --seconds are over or Ctrl-C."""
@@ -38,7 +41,7 @@ def acquire(
         settings = settings.with_estimator(load_estimator(model))
     if estimator is not None:
         settings = settings.with_estimator(name_estimator(estimator, settings.estimator))
-    with open_views(live, settings.live) as views:
+    with open_views(live, settings.live, foxglove) as views:
         result = session.acquire(settings, seconds=seconds, directory=out, console=stderr(), views=views)
     show(result, "Acquired", json=json)
     draw(result.file, plot)

@@ -1,21 +1,44 @@
-"""View: the live view as the pipeline sees it, a sink with a beginning and an end."""
+"""Live views as the pipeline sees them: something with an inbox, a beginning and an end."""
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from typing import Protocol
 
 from aemd.live.access import Address, make_token, parse_address
 from aemd.live.feed import About, Feed
+from aemd.live.foxglove import DEFAULT_FOXGLOVE, Foxglove
 from aemd.live.health import Sources
 from aemd.live.inbox import Inbox
 from aemd.live.options import LiveOptions
 from aemd.live.runtime import announced
 from aemd.live.server import Server
 
-__all__ = ["View", "open_views"]
+__all__ = ["Page", "View", "open_views"]
 
 
-class View:
-    """Listens from the moment it is made, so that a taken port is told of before the instrument is opened.
+class View(Protocol):
+    """One way to look at a running acquisition.
+
+    It listens from the moment it is made, so that a taken port is told of before the instrument is opened.
+    """
+
+    @property
+    def inbox(self) -> Inbox:
+        """The sink that the pipeline writes to."""
+
+    @property
+    def url(self) -> str:
+        """What to open."""
+
+    def showing(self, about: About, sources: Sources) -> AbstractContextManager[None]:
+        """Serve while inside."""
+
+    def close(self) -> None:
+        """Stop listening. Twice is fine."""
+
+
+class Page:
+    """The page, its stream, status, health and metrics, over HTTP.
 
     Args:
         address: where to listen.
@@ -37,7 +60,7 @@ class View:
 
     @contextmanager
     def showing(self, about: About, sources: Sources) -> Iterator[None]:
-        """Serve while inside."""
+        """Serve while inside, and let `aemd status` and `aemd watch` find us."""
         feed = Feed(self.inbox, about, sources)
         with announced(self.url, about.instrument):
             feed.start()
@@ -54,18 +77,23 @@ class View:
 
 
 @contextmanager
-def open_views(live: str | None, options: LiveOptions) -> Iterator[list[View]]:
+def open_views(live: str | None, options: LiveOptions, foxglove: str | None = None) -> Iterator[list[View]]:
     """Open the live views that a command line asks for, and close them.
 
     Args:
         live: of `--live`: an address, empty for the default one, None for no page.
         options: the config's [live].
+        foxglove: of `--foxglove`, likewise.
 
     Raises:
-        UsageError: an address makes no sense or cannot be listened on.
+        UsageError: an address makes no sense or cannot be listened on, or a package is missing.
     """
     with ExitStack() as stack:
-        views = [] if live is None else [View(parse_address(live, Address(), "--live"), options)]
-        for view in views:
-            stack.callback(view.close)
+        views: list[View] = []
+        if live is not None:
+            views.append(Page(parse_address(live, Address(), "--live"), options))
+            stack.callback(views[-1].close)
+        if foxglove is not None:
+            views.append(Foxglove(parse_address(foxglove, DEFAULT_FOXGLOVE, "--foxglove")))
+            stack.callback(views[-1].close)
         yield views
