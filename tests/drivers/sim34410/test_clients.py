@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from aemd.model import Level
-from sim34410 import Options, serve
+from sim34410 import Options, make_bench, serve
+from tests.drivers.sim34410.links import served
 
 LEVEL_V = 1.2345
 
@@ -17,18 +18,22 @@ def resource():
         yield resource
 
 
-def test_pymeasure_reads_a_voltage(resource):
+@pytest.mark.parametrize("link", ["socket", "vxi11", "usb"])
+def test_pymeasure_reads_a_voltage(link):
     agilent = pytest.importorskip("pymeasure.instruments.agilent", reason="PyMeasure is not installed")
     adapters = pytest.importorskip("pymeasure.adapters")
-    adapter = adapters.VISAAdapter(resource, visa_library="@py", read_termination="\n", write_termination="\n")
-    with pytest.warns(FutureWarning, match="SCPI"):  # it says of many instruments that it does not know them
-        meter = agilent.Agilent34410A(adapter)
-    try:
-        assert meter.id == Options().identity
-        assert meter.voltage_dc == pytest.approx(LEVEL_V)
-    finally:
-        adapter.close()
-        adapter.manager.close()
+    with served(make_bench(Options(terms=(Level(level_V=LEVEL_V),), noise=False))) as resources:
+        adapter = adapters.VISAAdapter(
+            resources[link], visa_library="@py", read_termination="\n", write_termination="\n"
+        )
+        with pytest.warns(FutureWarning, match="SCPI"):  # it says of many instruments that it does not know them
+            meter = agilent.Agilent34410A(adapter)
+        try:
+            assert meter.id == Options().identity
+            assert meter.voltage_dc == pytest.approx(LEVEL_V)
+        finally:
+            adapter.close()
+            adapter.manager.close()
 
 
 @pytest.fixture
