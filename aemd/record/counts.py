@@ -25,6 +25,8 @@ class Counts:
     """Instant of the last."""
     next_index: int = -1
     """Index that comes next if no further reading is lost; -1 for `first_index`."""
+    _ends_in_gap: bool = False
+    """Whether the last that was counted is a loss: one that follows it directly is no further place."""
 
     def __post_init__(self) -> None:
         if self.next_index < 0:
@@ -41,7 +43,9 @@ class Counts:
         self.estimates += len(estimates)
         if len(block):
             index = block["index"]
-            self.gaps += int(index[0] > self.next_index) + int(np.count_nonzero(index[1:] - index[:-1] > 1))
+            self.gaps += int(index[0] > self.next_index and not self._ends_in_gap)
+            self.gaps += int(np.count_nonzero(index[1:] - index[:-1] > 1))
+            self._ends_in_gap = False
             self.t0_ns = self.t0_ns if self.readings else int(block["t_ns"][0])
             self.t1_ns = int(block["t_ns"][-1])
             self.readings += len(block)
@@ -49,9 +53,11 @@ class Counts:
         # A gap that no reading has followed yet shows in its event only.
         for event in batch.events:
             if event.last_index >= self.next_index:
-                self.gaps += 1
+                self.gaps += not self._ends_in_gap
+                self._ends_in_gap = True
                 self.next_index = event.last_index + 1
 
     def to_text(self) -> dict[str, str]:
         """Return every field, and the loss, as metadata."""
-        return {name: str(value) for name, value in asdict(self).items()} | {"lost": str(self.lost)}
+        told = {name: str(value) for name, value in asdict(self).items() if not name.startswith("_")}
+        return told | {"lost": str(self.lost)}
