@@ -168,7 +168,7 @@ def advancing(total: int | None, console: Console | None) -> Iterator[Callable[[
 
 
 @contextmanager
-def counting(what: str, console: Console) -> Iterator[Callable[[int, int], None]]:
+def counting(what: str, console: Console | None) -> Iterator[Callable[[int, int], None]]:
     """Give a function that is told of the steps done and their number, and shows them where there is a terminal."""
     with _bar(what, console) as bar:
         task = None if bar is None else bar.add_task("", total=None)

@@ -20,7 +20,7 @@ from aemd.record.description import Description
 from aemd.record.source import Readings, Selection, open_readings, readings_told
 from aemd.record.writer import Recorder
 
-__all__ = ["ReplaySummary", "replay"]
+__all__ = ["ReplaySummary", "choose", "recording_to", "replay"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,14 +78,13 @@ def replay(
                 f"{path}: has no interval between readings, which an estimator needs; is it one reading?"
             )
         recorded = recorded_estimator(description, str(path))
-        known = recorded if model is None else load_estimator(model)
-        choice = known if known and estimator is None else name_estimator(estimator or "aem", known)
+        choice = choose(recorded if model is None else load_estimator(model), estimator)
         comparison = _Comparison(recorded, choice, path) if check else None
         tally = Tally(description.first_index)
         made = make_estimator(choice.name, choice.options, description.interval_s)
         made.push(np.empty(0, READING))  # compiles the kernel, which is no part of the speed
         start_ns = time.monotonic_ns()
-        with _recorder(out, description, choice) as recorder, advancing(readings_told(recording), console) as bar:
+        with recording_to(out, description, choice) as recorder, advancing(readings_told(recording), console) as bar:
             run(
                 _heard(recording, comparison, bar),
                 made,
@@ -106,8 +105,17 @@ def replay(
     )
 
 
+def choose(known: EstimatorChoice | None, named: str | None) -> EstimatorChoice:
+    """Return the known estimator unless another is named; AEM where nothing says which.
+
+    Raises:
+        UsageError: no such estimator.
+    """
+    return known if known and named is None else name_estimator(named or "aem", known)
+
+
 @contextmanager
-def _recorder(out: Path | None, description: Description, choice: EstimatorChoice) -> Iterator[Recorder | None]:
+def recording_to(out: Path | None, description: Description, choice: EstimatorChoice) -> Iterator[Recorder | None]:
     """Give a recorder that is closed at the end, or removed with what it wrote if the replay fails."""
     if out is None:
         yield None

@@ -1,0 +1,131 @@
+"""What a worker does with one file of an archive, and where workers come from."""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from multiprocessing import get_context
+from typing import Any, ParamSpec, TypeVar, cast
+
+import numpy as np
+
+from aemd.archive.manifest import Entry
+from aemd.archive.places import Place
+from aemd.archive.state import Carried, digest, load_state, save_state
+from aemd.block import READING
+from aemd.config import EstimatorChoice, recorded_estimator
+from aemd.errors import InstrumentError, RecordingError
+from aemd.estimate.registry import make_estimator
+from aemd.pipeline import Tally, run
+from aemd.record.source import Selection, open_readings
+from aemd.replay import choose, recording_to
+
+__all__ = ["Task", "replay_file", "workers"]
+
+_RETRIES = 2  # of a file whose worker was lost, by the cluster
+
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One file of a run: from the state after the file before it, to the state after it."""
+
+    name: str
+    source: Place
+    out: Place
+    model: EstimatorChoice | None
+    """In the place of the recorded one."""
+    estimator: str | None
+    """By name, in the place of either."""
+    asked: dict[str, str]
+    state: bytes | None
+    """Before the first reading; None for the beginning of a run."""
+    is_last: bool
+    """Whether the run ends here, and what the estimator holds back is due."""
+    selection: Selection
+
+
+def replay_file(task: Task) -> tuple[Entry, bytes | None]:
+    """Replay one file; return what is to be noted, and the state after it, None after the last.
+
+    The same task has the same result to the byte wherever and however often it runs, so a lost one is run again.
+
+    Raises:
+        RecordingError, ConfigError, UsageError: as `replay` does; there is no result then.
+    """
+    stamp = task.source.stamp()
+    with task.source.fetched() as path, open_readings(path, task.selection) as recording:
+        description = recording.description
+        if task.state is not None:
+            choice, estimator = load_state(task.state)
+        else:
+            choice = choose(task.model or recorded_estimator(description, task.name), task.estimator)
+            if not description.interval_s > 0:
+                raise RecordingError(f"{task.source.url}: has no interval between readings, which an estimator needs")
+            estimator = make_estimator(choice.name, choice.options, description.interval_s)
+        estimator.push(np.empty(0, READING))
+        tally = Tally(description.first_index)
+        with task.out.made() as made:
+            with recording_to(made, description, choice) as recorder:
+                source = recording.batches()
+                run(source, estimator if task.is_last else Carried(estimator), [tally, cast("Any", recorder)])
+            out_sha256 = Place(str(made)).checksum()
+        source_sha256 = Place(str(path)).checksum()
+    state = None if task.is_last else save_state(choice, estimator)
+    entry = Entry(
+        source=task.source.url,
+        source_stamp=stamp,
+        source_sha256=source_sha256,
+        out_stamp=task.out.stamp(),
+        out_sha256=out_sha256,
+        readings=tally.counts.readings,
+        estimates=tally.counts.estimates,
+        asked=task.asked,
+        before_sha256=digest(task.state),
+        state_sha256=digest(state),
+    )
+    return entry, state
+
+
+@contextmanager
+def workers(jobs: int, scheduler: str | None) -> Iterator[Executor]:
+    """Give what runs tasks: this process, processes of this machine, or the workers of a dask cluster.
+
+    Raises:
+        RecordingError: the cluster's package is not installed.
+        InstrumentError: the scheduler does not answer.
+    """
+    if scheduler is not None:
+        try:
+            client_type = import_module("distributed").Client
+        except ImportError as error:
+            raise RecordingError("--scheduler: needs the package distributed; install aemd[cluster]") from error
+        try:
+            client = client_type(scheduler, timeout="10s", set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise InstrumentError(
+                f"--scheduler {scheduler}: does not answer; start one by `dask scheduler`, and name its address"
+            ) from error
+        with client, client.get_executor(pure=False, retries=_RETRIES) as executor:
+            yield executor
+    elif jobs > 1:
+        # Not by fork: a thread of ours, or of the compression's, may hold a lock at that moment.
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as executor:
+            yield executor
+    else:
+        yield _Here()
+
+
+class _Here(Executor):
+    """Runs a task at once, in this process."""
+
+    def submit(self, fn: Callable[Given, Result], /, *args: Given.args, **kwargs: Given.kwargs) -> Future[Result]:
+        done: Future[Result] = Future()
+        try:
+            done.set_result(fn(*args, **kwargs))
+        except Exception as error:  # noqa: BLE001 - it is raised again where the result is asked for
+            done.set_exception(error)
+        return done
