@@ -84,8 +84,18 @@ class RecordingOptions:
     """Of the chunks."""
     durability: Literal["power", "crash"] = "power"
     """`power` syncs every flush to the disk; `crash` leaves that to the operating system (spares SD cards)."""
+    rotate_bytes: Annotated[int, Ge(0)] = 1 << 30
+    """Another file is begun at this size; 0 for never."""
+    rotate_s: Annotated[float, Ge(0)] = 86400.0
+    """Another file is begun where UTC passes a multiple of this, s; 0 for never."""
+    min_free_bytes: Annotated[int, Ge(0)] = 200_000_000
+    """Room that is left to others: with less on the disk nothing is written until there is more; 0 for none."""
 
     def __post_init__(self) -> None:
+        if 0 < self.rotate_bytes < 1 << 16:
+            raise ValueError(f"rotate_bytes = {self.rotate_bytes}: must be 0, for never, or at least {1 << 16}")
+        if 0 < self.rotate_s < 1:
+            raise ValueError(f"rotate_s = {self.rotate_s}: must be 0, for never, or at least 1")
         if not self.directory or "\0" in self.directory:
             raise ValueError(f"directory = {self.directory!r}: must be the name of a folder")
 

@@ -5,11 +5,12 @@ import math
 import platform
 import shutil
 import socket
+import threading
 import time
 import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -25,12 +26,15 @@ from aemd.config import Config
 from aemd.display import showing
 from aemd.errors import InstrumentError, RecordingError, UsageError
 from aemd.estimate.registry import make_estimator
+from aemd.estimate.state import copy_state, write_state
 from aemd.live.feed import About
 from aemd.live.health import Sources
 from aemd.live.view import View
 from aemd.pipeline import Sink, Tally, run
 from aemd.record.background import Background
 from aemd.record.description import Description
+from aemd.record.recovery import recover_folder
+from aemd.record.rollover import Rollover, Segment
 from aemd.record.writer import Recorder
 from aemd.service import Notifier, Pulse, stopping_on_signals, watched
 
@@ -44,6 +48,8 @@ class AcquireSummary:
     file: str
     readings: int
     lost: int
+    not_written: int
+    """Acquired, and in no file: the disk was full or failed."""
     gaps: int
     outages: int
     rate_hz: float
@@ -119,13 +125,16 @@ def acquire(
         gc.collect()
         gc.freeze()
         tally = Tally()
-        recorder = Background(file := _open_recorder(config, instrument, folder))
-        sources = Sources(tally.counts, unwritten=lambda: recorder.in_flight, file=lambda: file.active)
+        rollover = _open_files(config, instrument, folder, console)
+        recorder = Background(rollover, cutter=rollover, copy_state=lambda: copy_state(estimator))
+        sources = Sources(tally.counts, unwritten=lambda: recorder.in_flight, file=lambda: rollover.active)
         failure: InstrumentError | None = None
         acquisition = Acquisition(instrument, most_readings=most, give_up_s=config.acquisition.give_up_s)
+        rollover.clock_facts = acquisition.clock_facts
         notifier.ready(f"acquiring {folder.absolute()}")
         try:
             with (
+                _recovering(folder, console),
                 acquisition,
                 watched(notifier, lambda: _pulse(acquisition, recorder), lambda: _status(tally, folder)),
                 stop.passing_on_to(acquisition),
@@ -150,6 +159,7 @@ def acquire(
         file=str(path),
         readings=tally.counts.readings,
         lost=tally.counts.lost,
+        not_written=rollover.not_written,
         gaps=tally.counts.gaps,
         outages=acquisition.outages,
         rate_hz=tally.rate_hz,
@@ -217,8 +227,24 @@ class _Stop:
         self._acquisition = None
 
 
-def _open_recorder(config: Config, instrument: Instrument, folder: Path) -> Recorder:
-    """Create the recording in the folder, named by the second at which it begins, and describe it."""
+@contextmanager
+def _recovering(folder: Path, console: Console) -> Iterator[None]:
+    """Finish, meanwhile, what earlier acquisitions left unfinished in the folder; a line is shown about each."""
+
+    def work() -> None:
+        for line in recover_folder(folder):
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+    thread = threading.Thread(target=work, name="aemd-recover", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join()
+
+
+def _open_files(config: Config, instrument: Instrument, folder: Path, console: Console) -> Rollover:
+    """Create the first recording in the folder, and describe it and those that follow it."""
     now = datetime.now(UTC)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -240,13 +266,31 @@ def _open_recorder(config: Config, instrument: Instrument, folder: Path) -> Reco
         estimator=config.estimator.as_text(),
         config_toml=config.text,
     )
-    return Recorder(
-        _free_name(folder, now),
-        description,
-        flush_interval_s=config.recording.flush_interval_s,
-        chunk_bytes=config.recording.chunk_bytes,
-        compression=config.recording.compression,
-        durability=config.recording.durability,
+    options = config.recording
+
+    def open_file(segment: Segment) -> Recorder:
+        """Create a recording, named by the second at which it begins."""
+        return Recorder(
+            _free_name(folder, datetime.now(UTC)),
+            replace(
+                description,
+                first_index=segment.first_index,
+                segment=segment.as_text(),
+                state=write_state(segment.state),
+            ),
+            flush_interval_s=options.flush_interval_s,
+            chunk_bytes=options.chunk_bytes,
+            compression=options.compression,
+            durability=options.durability,
+            keep_room=True,
+        )
+
+    return Rollover(
+        open_file,
+        rotate_bytes=options.rotate_bytes,
+        rotate_s=options.rotate_s,
+        min_free_bytes=options.min_free_bytes,
+        tell=lambda line: console.print(line, highlight=False, markup=False, soft_wrap=True),
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from aemd.estimate.protocol import Estimator
 
-__all__ = ["load_state", "save_state"]
+__all__ = ["copy_state", "load_state", "save_state", "write_state"]
 
 _MADE_OF = {"options", "interval_s", "_model", "_rule", "_pairs"}
 """Attributes that come from the options; they never change."""
@@ -22,12 +22,24 @@ _MADE_OF = {"options", "interval_s", "_model", "_rule", "_pairs"}
 _Put = Callable[[Any], None]
 
 
+def copy_state(estimator: Estimator) -> dict[str, Any]:
+    """Return the state by its place in the estimator, copied: arrays, whole numbers and None."""
+    return {
+        place: value.copy() if isinstance(value, np.ndarray) else value for place, value, _ in _places(estimator, "")
+    }
+
+
+def write_state(state: Mapping[str, Any]) -> dict[str, str]:
+    """Return a copied state with each value as JSON."""
+    return {place: _as_text(value) for place, value in state.items()}
+
+
 def save_state(estimator: Estimator) -> dict[str, str]:
-    """Return the state by its place in the estimator, each value as JSON.
+    """Return the state as text.
 
     The same readings give the same text, whatever blocks they came in.
     """
-    return {place: _as_text(value) for place, value, _ in _places(estimator, "")}
+    return write_state(copy_state(estimator))
 
 
 def load_state(estimator: Estimator, text: Mapping[str, str]) -> None:

@@ -1,10 +1,10 @@
 """Background: another sink's work in a thread of its own, so that compression and the disk never delay the filter."""
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from queue import Empty, Full, Queue
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -30,6 +30,15 @@ class _ClosableSink(Protocol):
         """Remove what was written."""
 
 
+class _Cutter(Protocol):
+    @property
+    def wants_state(self) -> bool:
+        """Whether the estimator's state behind the next batch is wanted."""
+
+    def take_state(self, state: Mapping[str, Any]) -> None:
+        """Take the state behind the last batch written."""
+
+
 class Background:
     """Runs `write` of a sink in a named thread, behind a bounded queue that blocks when it is full and never drops.
 
@@ -37,17 +46,29 @@ class Background:
     the sink gets an empty batch from time to time, so that it can look at its clock.
     """
 
-    def __init__(self, sink: _ClosableSink, *, queue_batches: int = _QUEUE_BATCHES, tick_s: float = _TICK_S) -> None:
+    def __init__(
+        self,
+        sink: _ClosableSink,
+        *,
+        queue_batches: int = _QUEUE_BATCHES,
+        tick_s: float = _TICK_S,
+        cutter: _Cutter | None = None,
+        copy_state: Callable[[], Mapping[str, Any]] = dict,
+    ) -> None:
         """Start the thread.
 
         Args:
             sink: written to from that thread only, until `close`.
             queue_batches: batches that may wait.
             tick_s: longest time between two calls of the sink's `write`.
+            cutter: the sink, if it wants to know the estimator's state from time to time.
+            copy_state: returns it; called by `write`, in whose thread the estimator runs.
         """
         self._sink = sink
         self._tick_s = tick_s
-        self._queue: Queue[tuple[Batch, Estimates] | None] = Queue(queue_batches)
+        self._cutter = cutter
+        self._copy_state = copy_state
+        self._queue: Queue[tuple[Batch, Estimates, Mapping[str, Any] | None] | None] = Queue(queue_batches)
         self._error: BaseException | None = None
         self._error_is_told = False
         self._taken = 0
@@ -73,9 +94,10 @@ class Background:
             RecordingError: or whatever else the sink raised.
         """
         self._taken += len(batch.readings)
+        state = self._copy_state() if self._cutter is not None and self._cutter.wants_state else None
         while self._error is None:
             try:
-                self._queue.put((batch, estimates), timeout=_LOOK_S)
+                self._queue.put((batch, estimates, state), timeout=_LOOK_S)
             except Full:
                 continue
             return
@@ -116,14 +138,16 @@ class Background:
     def _run(self) -> None:
         try:
             while (item := self._next()) is not None:
-                self._sink.write(*item)
+                self._sink.write(*item[:2])
+                if self._cutter is not None and item[2] is not None:
+                    self._cutter.take_state(item[2])
                 self._passed_on += len(item[0].readings)
                 self._turns += 1
         except BaseException as error:  # noqa: BLE001 - it is raised again where someone listens
             self._error = error
 
-    def _next(self) -> tuple[Batch, Estimates] | None:
+    def _next(self) -> tuple[Batch, Estimates, Mapping[str, Any] | None] | None:
         try:
             return self._queue.get(timeout=self._tick_s)
         except Empty:
-            return Batch(np.empty(0, READING)), np.empty(0, ESTIMATE)
+            return Batch(np.empty(0, READING)), np.empty(0, ESTIMATE), None

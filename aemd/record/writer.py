@@ -130,6 +130,16 @@ class Recorder:
         return self._unwritten.first
 
     @property
+    def has_failed(self) -> bool:
+        """Whether the disk has refused something; `close` then finishes what was good before."""
+        return self._file.has_failed
+
+    @property
+    def is_released(self) -> bool:
+        """Whether it is closed, or cannot be closed any more."""
+        return self._file.is_released
+
+    @property
     def path(self) -> Path:
         """Name of the finished file."""
         return self._file.path
