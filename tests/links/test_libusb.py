@@ -22,11 +22,11 @@ def why_not() -> str:
         "import sys; sys.path.append('/usr/lib/python3/dist-packages'); import gi;"
         "gi.require_version('UMockdev', '1.0'); from gi.repository import UMockdev"
     )
-    tried = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, timeout=60)
+    tried = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, timeout=60, check=False)
     if tried.returncode:
         return f"this Python cannot use umockdev: {tried.stderr.strip().splitlines()[-1]}"
     look = "import usb.backend.libusb1 as one; assert one.get_backend()"
-    if subprocess.run([sys.executable, "-c", look], capture_output=True, timeout=60).returncode:
+    if subprocess.run([sys.executable, "-c", look], capture_output=True, timeout=60, check=False).returncode:
         return "libusb is not installed (Debian: libusb-1.0-0)"
     return ""
 
@@ -42,6 +42,7 @@ def found() -> dict[str, object]:
         capture_output=True,
         text=True,
         timeout=100,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])

@@ -16,15 +16,8 @@ import time
 from pathlib import Path
 from threading import Thread
 
-sys.path.append("/usr/lib/python3/dist-packages")  # where Debian's python3-gi is
-
-import gi
-
-gi.require_version("UMockdev", "1.0")
-from gi.repository import GLib, UMockdev  # noqa: E402
-
-from sim34410 import Options, make_bench  # noqa: E402
-from sim34410.usb import Stall, UsbDevice  # noqa: E402
+from sim34410 import Options, make_bench
+from sim34410.usb import Stall, UsbDevice
 
 # linux/usbdevice_fs.h, on 64 bits
 SUBMIT, DISCARD, REAP, REAP_NOW = 0x8038550A, 0x550B, 0x4008550C, 0x4008550D
@@ -76,9 +69,10 @@ class Flying:
 class Bus:
     """A bus with one port."""
 
-    def __init__(self, device):
+    def __init__(self, device, umockdev):
         self.device = device
-        self.testbed = UMockdev.Testbed.new()
+        self._umockdev = umockdev
+        self.testbed = umockdev.Testbed.new()
         self.number = 1
         self.is_plugged = False
         self.flying = []
@@ -93,7 +87,7 @@ class Bus:
             number=self.number, vendor=self.device.vendor, product=self.device.product, descriptors=descriptors.hex()
         )
         assert self.testbed.add_from_string(text)
-        self.handler = UMockdev.IoctlBase()
+        self.handler = self._umockdev.IoctlBase()
         self.handler.connect("handle-ioctl", self._handle, self.number)
         self.testbed.attach_ioctl(NODE.format(self.number), self.handler)
         self.testbed.uevent("/sys/devices/usb1/1-1", "add")
@@ -180,9 +174,15 @@ class Jump:
 
 
 def main() -> int:
+    sys.path.append("/usr/lib/python3/dist-packages")  # where Debian's python3-gi is
+    import gi  # noqa: PLC0415 - not every Python has it
+
+    gi.require_version("UMockdev", "1.0")
+    from gi.repository import GLib, UMockdev  # noqa: PLC0415
+
     clock = Jump()
     bench = make_bench(Options(noise=False), clock)
-    bus = Bus(UsbDevice(bench))
+    bus = Bus(UsbDevice(bench), UMockdev)
     bus.plug()
     environment = {**os.environ, "LD_PRELOAD": "libumockdev-preload.so.0", "UMOCKDEV_DIR": bus.testbed.get_root_dir()}
     child = subprocess.Popen(

@@ -86,4 +86,5 @@ def main() -> None:
     manager.close()
 
 
-main()
+if __name__ == "__main__":
+    main()
