@@ -14,13 +14,15 @@ from aemd.block import ESTIMATE, READING, Batch, Estimates
 from aemd.config import EstimatorChoice, load_estimator, name_estimator, recorded_estimator
 from aemd.display import advancing
 from aemd.errors import RecordingError, UsageError
+from aemd.estimate.protocol import Estimator
 from aemd.estimate.registry import make_estimator
+from aemd.estimate.state import load_state
 from aemd.pipeline import Tally, run
 from aemd.record.description import Description
 from aemd.record.source import Readings, Selection, open_readings, readings_told
 from aemd.record.writer import Recorder
 
-__all__ = ["ReplaySummary", "choose", "recording_to", "replay"]
+__all__ = ["ReplaySummary", "begin_with", "choose", "recording_to", "replay"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +85,10 @@ def replay(
         tally = Tally(description.first_index)
         made = make_estimator(choice.name, choice.options, description.interval_s)
         made.push(np.empty(0, READING))  # compiles the kernel, which is no part of the speed
+        if description.state and choice == recorded:
+            begin_with(made, description, path)
+        else:
+            description = replace(description, state={})  # what is estimated anew begins at its first reading
         start_ns = time.monotonic_ns()
         with recording_to(out, description, choice) as recorder, advancing(readings_told(recording), console) as bar:
             run(
@@ -112,6 +118,20 @@ def choose(known: EstimatorChoice | None, named: str | None) -> EstimatorChoice:
         UsageError: no such estimator.
     """
     return known if known and named is None else name_estimator(named or "aem", known)
+
+
+def begin_with(estimator: Estimator, description: Description, path: Path) -> None:
+    """Put an estimator into the state that it had where this file begins, in the middle of an acquisition.
+
+    Raises:
+        RecordingError: the state is damaged, or of another version of the estimator.
+    """
+    try:
+        load_state(estimator, description.state)
+    except ValueError as error:
+        raise RecordingError(
+            f"{path}: metadata aemd.state: {error}; name an estimator by --estimator to begin afresh"
+        ) from error
 
 
 @contextmanager
