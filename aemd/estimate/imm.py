@@ -29,6 +29,11 @@ class ImmOptions:
     """Time in which each part forgets (tau_s of the paper's eq. 2), s."""
     signal_hz: tuple[Annotated[float, Ge(0)], ...] = (0.0,)
     """Frequency that each part swings at, Hz; 0 is the first-order Markov process of eq. 2."""
+    drive_V: tuple[Positive, ...] = ()
+    """Noise per reading that one source gives to each part at once, V; none: each part has only a noise of its own.
+    What vibrates is shaken at one place, and only parts that move together can cancel between two resonances."""
+    drive_rad: tuple[float, ...] = ()
+    """Phase at which it does, one for each in drive_V, rad."""
     slow_V: Positive = 0.3e-3
     """Standard deviation of the slow part, V."""
     slow_tau_s: Positive = 150.0
@@ -76,6 +81,15 @@ class ImmOptions:
             raise ValueError(
                 f"signal_V, signal_tau_s, signal_hz have {len(self.signal_V)}, {len(self.signal_tau_s)} and "
                 f"{len(self.signal_hz)} values: must have as many"
+            )
+        if len(self.drive_V) != len(self.drive_rad) or len(self.drive_V) not in {0, len(self.signal_V)}:
+            raise ValueError(
+                f"drive_V, drive_rad have {len(self.drive_V)} and {len(self.drive_rad)} values: must have as many as "
+                f"signal_V, {len(self.signal_V)}, or none"
+            )
+        if not all(0 < value < math.inf for value in self.drive_V) or not all(map(math.isfinite, self.drive_rad)):
+            raise ValueError(
+                f"drive_V = {list(self.drive_V)}, drive_rad = {list(self.drive_rad)}: must be finite, drive_V above 0"
             )
         if self.origin_V is not None and not math.isfinite(self.origin_V):
             raise ValueError(f"origin_V = {self.origin_V!r}: must be a finite number of volts")
@@ -136,7 +150,8 @@ def imm_model(options: ImmOptions, interval_s: float) -> imm_kernels.ImmModel:
     """Return the numbers that the kernel needs: the step from one reading to the next of each continuous process.
 
     A process of standard deviation sigma that forgets in tau and swings at f: rho = exp(-T/tau), theta = 2 pi f T,
-    Q = sigma^2 (1 - rho^2). A mode that lasts t on average is left before the next reading with 1 - exp(-T/t).
+    Q = sigma^2 (1 - rho^2). A common drive adds its outer product to Q; before the first reading each part has the
+    variance that it comes to alone. A mode that lasts t on average is left before the next reading with 1 - exp(-T/t).
 
     Raises:
         ConfigError: the interval cannot be, or a frequency is above half the reading rate.
@@ -148,13 +163,16 @@ def imm_model(options: ImmOptions, interval_s: float) -> imm_kernels.ImmModel:
             f"signal_hz = {max(options.signal_hz):g}: must be at most half the reading rate, {0.5 / interval_s:g} Hz"
         )
     signal, slow = np.array(options.signal_V) ** 2, options.slow_V**2
+    drive, angle = (np.array(values or [0.0] * theta.size) for values in (options.drive_V, options.drive_rad))
+    left = -np.expm1(-2 * interval_s / np.array(options.signal_tau_s))
     durations_s = np.array([options.quiet_s, options.disturbed_s])
     taken_from_reading = 0.0 if options.origin_V is not None else options.disturbed_V**2
     return imm_kernels.ImmModel(
         cos=rho * np.cos(theta),
         sin=rho * np.sin(theta),
-        Q=-signal * np.expm1(-2 * interval_s / np.array(options.signal_tau_s)),
-        start=signal,
+        Q=signal * left,
+        drive=np.column_stack([drive * np.cos(angle), drive * np.sin(angle)]).ravel(),
+        start=signal + drive**2 / left,
         slow_phi=discrete_phi(options.slow_tau_s, interval_s),
         slow_Q=-slow * math.expm1(-2 * interval_s / options.slow_tau_s),
         slow_start=slow + taken_from_reading,

@@ -72,6 +72,8 @@ class ImmModel(NamedTuple):
     """rho sin(theta)."""
     Q: Floats
     """Process noise of each, V^2."""
+    drive: Floats
+    """Noise that all pairs have in common, both components of each, V, shape (2 m,)."""
     start: Floats
     """Stationary variance of each, V^2."""
     slow_phi: float
@@ -204,9 +206,21 @@ def mix_held(held: Held, count: int, slot: int, gap: Floats, a: float, b: float)
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def predict(
-    pairs: tuple[int, ...], x: Floats, P: Floats, j: int, cos: Floats, sin: Floats, Q: Floats, phi: float, slow_Q: float
+    pairs: tuple[int, ...],
+    x: Floats,
+    P: Floats,
+    j: int,
+    cos: Floats,
+    sin: Floats,
+    Q: Floats,
+    drive: Floats,
+    phi: float,
+    slow_Q: float,
 ) -> None:
-    """Take mode j one reading on: x <- F x, P <- F P F' + Q; F turns and shrinks the pairs, shrinks the slow part."""
+    """Take mode j one reading on: x <- F x, P <- F P F' + Q + drive drive'.
+
+    F turns and shrinks the pairs, and shrinks the slow part.
+    """
     m, last = len(pairs), 2 * len(pairs)
     for i in range(m):
         r, co, si = 2 * i, cos[i], sin[i]
@@ -222,6 +236,9 @@ def predict(
             P[j, r, c], P[j, r, c + 1] = co * P[j, r, c] - si * P[j, r, c + 1], si * P[j, r, c] + co * P[j, r, c + 1]
         P[j, c, c] += Q[i]
         P[j, c + 1, c + 1] += Q[i]
+    for r in range(last):
+        for c in range(last):
+            P[j, r, c] += drive[r] * drive[c]
     for r in range(last + 1):
         P[j, r, last] *= phi
     P[j, last, last] += slow_Q
@@ -408,7 +425,7 @@ def run_imm(
     """Estimate; `state` becomes that after the last reading; return how many rows of `out` (ESTIMATE) are filled."""
     # One array each: a tuple of arrays costs a count of references up and down at every call.
     x, P, mu, held, rows, PH = state.x, state.P, state.mu, state.held, state.rows, state.scratch
-    cos, sin, Q, R, leave = model.cos, model.sin, model.Q, model.R, model.leave
+    cos, sin, Q, R, leave, drive = model.cos, model.sin, model.Q, model.R, model.leave, model.drive
     phi, slow_Q = model.slow_phi, model.slow_Q
     now, last = state.now[0], 2 * len(pairs)
     released = 0
@@ -423,8 +440,8 @@ def run_imm(
         for _ in range(missing + 1):
             p0, p1, a, b = mixing_shares(mu, leave)
             mix(pairs, x, P, PH[0], a, b)
-            predict(pairs, x, P, 0, cos, sin, Q, phi, slow_Q)
-            predict(pairs, x, P, 1, cos, sin, Q, phi, slow_Q)
+            predict(pairs, x, P, 0, cos, sin, Q, drive, phi, slow_Q)
+            predict(pairs, x, P, 1, cos, sin, Q, drive, phi, slow_Q)
             mu[0], mu[1] = p0, p1
             if now.held > 0:
                 mix_held(held, now.held, now.slot, PH[0], a, b)

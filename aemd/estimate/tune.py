@@ -23,6 +23,7 @@ from aemd.errors import ConfigError
 from aemd.estimate.imm import ImmOptions, imm_model
 from aemd.estimate.imm_kernels import run_imm, start_imm
 from aemd.estimate.kalman import columns_of
+from aemd.estimate.resonance import Resonances, find_resonances
 
 __all__ = ["Kind", "Tuning", "noise_of", "tune"]
 
@@ -34,6 +35,7 @@ _PIECE = 2_500  # readings of each; the best kind is then fitted to the whole st
 _ABSENT = 1e-2  # standard deviation of a part that is not there, in units of the noise: nothing, but not singular
 _LEAST_RATE = 3.2  # of a swing, in noises over the length of the stretch: see _Likelihood._options
 _SHARP = 1000.0  # factor of the logarithm of a frequency: see _Likelihood
+_ORDERS = (4, 8, 12, 16, 20)  # of the autoregressions that are tried where many parts are allowed
 _ROUNDS = 2  # of the search over many swings
 _PEAKS = 2  # in the spectrum of the errors, at which a further swing is tried
 _PEAK_WIDTH = 8  # of the spectrum's bins: the foot of a line under a Hann window, and some
@@ -48,15 +50,23 @@ class Kind:
     """Parts of the input: Markov processes of first order (eq. 2), or ones that swing at a frequency."""
     slow: bool
     """Whether there is a slow part."""
+    order: int = 0
+    """Of an autoregression whose resonances are the input's parts, in place of `signal`; 0: none."""
 
     def __str__(self) -> str:
         """Return its name."""
-        return " + ".join((*self.signal, "slow")[: len(self.signal) + self.slow]) or "noise"
+        signal = (f"resonances of order {self.order}",) if self.order else self.signal
+        return " + ".join((*signal, "slow")[: len(signal) + self.slow]) or "noise"
 
     @property
     def parameters(self) -> int:
         """Number of free parameters."""
-        return 5 + 2 * self.slow + sum({"markov": 2, "swing": 3}[part] for part in self.signal)
+        return (
+            5
+            + 2 * self.slow
+            + (self.order + 1 if self.order else 0)
+            + sum({"markov": 2, "swing": 3}[part] for part in self.signal)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +129,10 @@ def tune(
     while parts < most_parts and len(min(tried).kind.signal) == parts:
         tried.append(_extended(explored, min(tried)))
         parts += 1
+    for order in _ORDERS:
+        if 1 < order // 2 <= most_parts and max(map(len, explored.values)) > 10 * order:
+            kind = Kind((), slow=True, order=order)
+            tried.append(_fit(explored, kind, _starts(explored, kind)))
     best = min(tried)
     if len(best.kind.signal) > 1:
         best = _settled(whole, best)
@@ -193,6 +207,7 @@ class _Likelihood:
         self.values = [(value_V - origin_V) / self.unit_V for value_V in values_V]
         self.size = sum(map(len, self.values))
         self.noise = None if noise_V is None else noise_V / self.unit_V
+        self._resonances: dict[int, Resonances] = {}
         self._columns = []
         for block in stretches:
             index, value_V, status = columns_of(block)
@@ -221,6 +236,12 @@ class _Likelihood:
         rows, taken = self._out[:ready], self._out["status"][:ready] & Status.COASTED == 0
         return np.asarray((columns[2][:ready] - rows["value_V"] - rows["u_V"])[taken])
 
+    def resonances(self, order: int) -> Resonances:
+        """Return those of an autoregression, found once."""
+        if order not in self._resonances:
+            self._resonances[order] = find_resonances(self.values, order)
+        return self._resonances[order]
+
     def bounds(self, kind: Kind) -> list[tuple[float, float]]:
         """Return the logarithms between which each parameter is sought."""
         spread = max(float(np.ptp(value)) for value in self.values) + 1.0
@@ -232,6 +253,8 @@ class _Likelihood:
         if kind.slow:
             returns = (longest + math.log(10.0),) * 2 if self.walk else (edge + math.log(10.0), longest)
             found += [(math.log(1e-4), math.log(10.0)), returns]
+        if kind.order:
+            found.append((math.log(1e-3), math.log(10.0)))
         for part in kind.signal:
             if part == "markov":
                 found += [(math.log(1e-3), math.log(100.0)), (math.log(0.3), edge)]
@@ -288,11 +311,20 @@ class _Likelihood:
             else:
                 sd, rate, frequency = next(number), noise * next(number), math.exp(next(logarithm) / _SHARP)
                 parts.append((sd, max(2 * (sd / rate) ** 2, 1.0), frequency))
+        drive: NDArray[np.complex128] = np.zeros(0, dtype=complex)
+        if kind.order:
+            found = self.resonances(kind.order)
+            drive = next(number) * found.error * found.gain
+            parts = [
+                (_ABSENT * noise, *part) for part in zip(found.tau.tolist(), found.frequency.tolist(), strict=True)
+            ]
         signal_V, signal_tau, signal_hz = zip(*(parts or [(_ABSENT * noise, 1.0, 0.0)]), strict=True)
         return ImmOptions(
             signal_V=signal_V,
             signal_tau_s=signal_tau,
             signal_hz=signal_hz,
+            drive_V=tuple(np.abs(drive).tolist()),
+            drive_rad=tuple(np.angle(drive).tolist()),
             slow_V=slow_V,
             slow_tau_s=slow_tau,
             origin_V=0.0,
@@ -326,6 +358,11 @@ def _starts(likelihood: _Likelihood, kind: Kind) -> list[Floats]:
         if kind.slow:
             start += [rate, max(2 * (float(np.std(together)) / rate) ** 2, 1.0)]
         logarithms = [math.log(value) for value in start]
+        if kind.order:
+            error = likelihood.resonances(kind.order).error
+            logarithms[0] = math.log((0.1 if noise > lasting / 10 else 0.5) * error)
+            logarithms[5] = math.log(1e-2 * error)
+            logarithms.append(0.0)
         for part in kind.signal:
             if part == "markov":
                 logarithms += [math.log(spread / 3), math.log(10.0)]
@@ -415,7 +452,7 @@ def _settled(likelihood: _Likelihood, fit: _Fit) -> _Fit:
 def _free(parameters: int, part: int) -> NDArray[np.int64]:
     """Return the numbers of the noise, its memory, and what belongs to the last swing, or one `part` before it."""
     first = parameters - 3 * (part + 1)
-    return np.r_[0, 4, first : first + 3]
+    return np.array([0, 4, first, first + 1, first + 2])
 
 
 def _usable(block: Block) -> NDArray[np.bool_]:

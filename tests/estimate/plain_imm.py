@@ -30,6 +30,12 @@ class PlainImm:
             )
             self.Q[block, block] = sd**2 * (1 - math.exp(-2 * T / tau)) * np.eye(2)
             P[block, block] = sd**2 * np.eye(2)
+        common = np.zeros(size)
+        for i, (sd, angle) in enumerate(zip(options.drive_V, options.drive_rad, strict=True)):
+            common[2 * i : 2 * i + 2] = sd * math.cos(angle), sd * math.sin(angle)
+            P[2 * i, 2 * i] += sd**2 / (1 - math.exp(-2 * T / options.signal_tau_s[i]))
+            P[2 * i + 1, 2 * i + 1] = P[2 * i, 2 * i]
+        self.Q += np.outer(common, common)
         last = self.n - 1
         self.F[last, last] = math.exp(-T / options.slow_tau_s)
         self.Q[last, last] = options.slow_V**2 * (1 - math.exp(-2 * T / options.slow_tau_s))

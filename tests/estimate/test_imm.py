@@ -32,6 +32,8 @@ TWO_PARTS = ImmOptions(
     variance_memory_s=5.0,
 )
 
+DRIVEN = {"drive_V": (0.3e-3, 0.2e-3), "drive_rad": (0.4, -2.0)}
+
 
 def estimates_of(options: ImmOptions, block: Block, interval_s: float = T) -> Estimates:
     imm = Imm(options, interval_s)
@@ -64,7 +66,9 @@ def with_holes(block: Block, seed: int) -> Block:
 
 
 @pytest.mark.parametrize("lag", [0, 1, 7])
-@pytest.mark.parametrize("options", [ABOUT_ZERO, TWO_PARTS, replace(TWO_PARTS, slow="disturbance")])
+@pytest.mark.parametrize(
+    "options", [ABOUT_ZERO, TWO_PARTS, replace(TWO_PARTS, slow="disturbance"), replace(TWO_PARTS, **DRIVEN)]
+)
 def test_the_kernel_equals_plain_matrices(options: ImmOptions, lag: int) -> None:
     options = replace(options, lag=lag)
     block = with_holes(drawn(ABOUT_ZERO, seed=3)[0], seed=4)
@@ -323,6 +327,9 @@ def test_readings_that_repeat_to_the_last_digit_leave_a_finite_estimate() -> Non
         ({"signal_hz": (-1.0,)}, "signal_hz"),
         ({"signal_V": (math.nan,)}, "finite"),
         ({"origin_V": math.inf}, "finite"),
+        ({"drive_V": (1.0, 1.0), "drive_rad": (0.0, 0.0)}, "must have as many as signal_V, 1, or none"),
+        ({"drive_V": (1.0,)}, "drive_V, drive_rad have 1 and 0"),
+        ({"drive_V": (0.0,), "drive_rad": (0.0,)}, "drive_V above 0"),
         ({"noise_V": 0.0}, "noise_V"),
         ({"lag": -1}, "lag"),
         ({"slow": "drift"}, "slow"),
