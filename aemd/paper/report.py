@@ -176,7 +176,8 @@ def _physics(result: PaperResult) -> Iterator[str]:
         f"{slow:.3g} mV². The test's own set, which has no input to estimate, comes to {tuned:.2g} mV² and keeps "
         f"{result.figures['probe']['imm']['gain'][1]:.2g} of the probe. Its intervals hold the truth in "
         f"{100 * result.figures['static']['imm']['coverage_quiet'][1]:.1f} % of quiet readings: the truth there is "
-        "the constant that it expects. Those of the one set hold it in "
+        "the constant that it expects, and an interval of any width about a known constant holds it; sigma is the "
+        "hundredth of the noise that tuning allows an input it did not find. Those of the one set hold it in "
         f"{100 * result.figures['static']['imm_one']['coverage_quiet'][1]:.1f} %: slow fluctuation passes for input."
     )
     yield (
