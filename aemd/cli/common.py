@@ -1,6 +1,7 @@
 """What the commands share: the app, options that several take, and how a result is shown."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,13 +18,16 @@ __all__ = [
     "AddressCommand",
     "EstimatorName",
     "Field",
+    "Jobs",
     "Json",
     "Model",
     "Plot",
+    "Scheduler",
     "TimeOf",
     "Topic",
     "app",
     "draw",
+    "report_failures",
     "select",
     "show",
     "stderr",
@@ -59,6 +63,12 @@ TimeOf = Annotated[
     typer.Option("--time", help="Which time of its messages is the reading's; publish where there is one."),
 ]
 
+Jobs = Annotated[int, typer.Option("--jobs", min=1, metavar="N", help="Processes, where FILE means many files.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDRESS", help="dask cluster in the place of processes: tcp://HOST:8786."),
+]
+
 
 class AddressCommand(TyperCommand):
     """A command whose address options may stand without their value, which then is empty.
@@ -68,7 +78,7 @@ class AddressCommand(TyperCommand):
     """
 
     options = ("--live", "--foxglove")
-    looks_like_address = re.compile(r"\d+|localhost|(\d+\.){3}\d+|(\[[0-9a-fA-F:.]+\]|[\w.-]*):\d+|\[[0-9a-fA-F:.]+\]")
+    looks_like_address = re.compile(r"\d+|localhost|(\d+\.){3}\d+|(\[[0-9a-fA-F:.]+\]|[\w.-]*):\w*|\[[0-9a-fA-F:.]+\]")
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Put in the empty values, and parse."""
@@ -93,6 +103,14 @@ def show(result: Any, title: str, *, json: bool) -> None:
         print(as_json(result))
     else:
         Console().print(as_table(result, title))
+
+
+def report_failures(failed: Sequence[str]) -> None:
+    """Tell of the files of an archive that failed, a line each, and end with exit code 1 if there are any."""
+    for line in failed:
+        stderr().print(f"aemd: {line}", highlight=False, markup=False, soft_wrap=True)
+    if failed:
+        raise typer.Exit(1)
 
 
 def _picture(path: Path | None) -> Path | None:

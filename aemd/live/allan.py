@@ -6,6 +6,7 @@ at every averaging time m = 1, 2, 4, ..., over the non-overlapping pairs since t
 from two means of m, so a reading costs two additions, whatever the length of the record.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 __all__ = ["RunningAllan"]
 
+FEW = 6  # readings that are taken one by one: at slow rates a batch has one or two
 OCTAVES = 40  # 2^40 readings are 3 years at 10,000 /s
 MOST_MISSING = 1 << 16  # missing readings that a block may be lacking; a longer hole starts the blocks anew
 
@@ -59,7 +61,30 @@ class RunningAllan:
         line = np.full(self._next_index - expected, np.nan)
         line[index - expected] = values
         present = np.isfinite(line)
+        if line.size <= FEW:
+            for mean, weight in zip(np.where(present, line, 0.0).tolist(), present.tolist(), strict=True):
+                self._cascade_one(mean, float(weight))
+            return
         self._cascade(np.where(present, line, 0.0), present.astype(np.float64))
+
+    def _cascade_one(self, mean: float, weight: float) -> None:
+        """Take one block of one reading, as `_cascade` takes many."""
+        size = 1
+        for octave in self._octaves:
+            newest = mean if 2 * weight >= size else math.nan
+            step = newest - octave.mean
+            if not math.isnan(step):
+                octave.squares += step * step
+                octave.pairs += 1
+            octave.mean = newest
+            if octave.waiting is None:
+                octave.waiting = mean, weight
+                return
+            before, share = octave.waiting
+            octave.waiting = None
+            both = share + weight
+            mean, weight = (before * share + mean * weight) / max(both, 1.0), both
+            size *= 2
 
     def _cascade(self, means: Values, weights: Values) -> None:
         """Take blocks of one reading, then pair them to blocks of two, and so on.
