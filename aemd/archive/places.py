@@ -26,7 +26,10 @@ _PIECE_BYTES = 1 << 20
 
 
 def is_pattern(name: str) -> bool:
-    """Tell whether a file's name means an archive: it has a wildcard or a scheme."""
+    """Tell whether a name means an archive: a folder, or with wildcards or a scheme; not a file that is there."""
+    path = Path(name)
+    if path.exists():
+        return path.is_dir() and path.suffix != ".mcap"
     return glob.has_magic(name) or "://" in name
 
 

@@ -2,19 +2,23 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
+from rich.console import Console
 
-from aemd.cli.common import Json, app, show, stderr
+from aemd.cli.common import Jobs, Json, Scheduler, app, report_failures, show, stderr
+from aemd.errors import UsageError
 
 Slow = Literal["disturbance", "input"]
 
 
 @app.command()
 def tune(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="M.toml", help="The new model file.")],
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A recording, or many: a folder or a quoted pattern.")],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="M.toml", help="The new model file; of many, the folder of theirs.")
+    ],
     from_s: Annotated[float, typer.Option("--from", min=0.0, help="Begin of the stretch, s from the first.")] = 0.0,
     to_s: Annotated[float, typer.Option("--to", min=0.0, help="End of the stretch, s from the first.")] = math.inf,
     lag: Annotated[int, typer.Option(min=0, max=10_000, help="Readings by which the estimate may trail.")] = 0,
@@ -28,13 +32,22 @@ def tune(
     slow: Annotated[
         Slow, typer.Option(help="What the slow part is: the sensor's drift, or the input's.")
     ] = "disturbance",
+    html: Annotated[Path | None, typer.Option(metavar="FILE.html", help="Of many: write the table as a page.")] = None,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
     json: Json = False,
 ) -> None:
     """Find the parameters of the `imm` estimator in a stretch of readings, by their likelihood."""
+    from aemd.archive import is_pattern, tune_archive
     from aemd.tune import tune_recording
 
+    options = {"from_s": from_s, "to_s": to_s, "lag": lag, "noise_V": noise_v, "slowest_signal_s": slowest_s}
+    if is_pattern(file):
+        many = tune_archive(file, out, jobs=jobs, scheduler=scheduler, console=stderr(), slow=slow, **options)
+        _show_table(many, "aemd tune", html, json=json)
+        return
     result = tune_recording(
-        file, out, from_s=from_s, to_s=to_s, lag=lag, noise_V=noise_v, slowest_signal_s=slowest_s, slow=slow
+        Path(file), out, from_s=from_s, to_s=to_s, lag=lag, noise_V=noise_v, slowest_signal_s=slowest_s, slow=slow
     )
     show(result, "Tuned", json=json)
 
@@ -61,7 +74,12 @@ def paper(
 
 @app.command()
 def diagnose(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, or a table time,value[,witness,...].")],
+    file: Annotated[
+        str,
+        typer.Argument(
+            metavar="FILE", help="A recording, a table time,value[,witness,...], or many: a folder or a quoted pattern."
+        ),
+    ],
     model: Annotated[
         Path | None,
         typer.Option("--model", metavar="M.toml", help="The model to criticise instead of the fitted base."),
@@ -73,15 +91,26 @@ def diagnose(
         Path | None, typer.Option(metavar="FILE.html", help="Write the report as one page with pictures.")
     ] = None,
     line_frequency: Annotated[float | None, typer.Option(min=0.0, help="Of the mains, Hz, where it is known.")] = None,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
     json: Json = False,
 ) -> None:
     """Say what our model gets wrong about measured data, what that is consistent with, and what fixing it is worth."""
+    from aemd.archive import diagnose_archive, is_pattern
     from aemd.diagnose import diagnose as criticise
     from aemd.diagnose import format_diagnosis, write_extended, write_html
     from aemd.report import as_json
 
+    if is_pattern(file):
+        if out is not None:
+            raise UsageError(f"{file}: means many files, which have no one extended model; leave out --out")
+        many = diagnose_archive(
+            file, jobs=jobs, scheduler=scheduler, model=model, line_frequency_hz=line_frequency, console=stderr()
+        )
+        _show_table(many, "aemd diagnose", html, json=json)
+        return
     with stderr().status("reading") as status:
-        found = criticise(file, model=model, line_frequency_hz=line_frequency, progress=status.update)
+        found = criticise(Path(file), model=model, line_frequency_hz=line_frequency, progress=status.update)
     print(as_json(found) if json else format_diagnosis(found), end="\n" if json else "")
     if out is not None:
         write_extended(found, out)
@@ -106,3 +135,18 @@ def simulate(
 
     result = make(model, seconds=seconds, seed=seed, out=out, interval_s=interval, aperture_s=aperture)
     show(result, "Simulated", json=json)
+
+
+def _show_table(many: Any, title: str, html: Path | None, *, json: bool) -> None:
+    """Print what an archive's files gave, write the page if one was asked for, and tell of those that gave nothing."""
+    from aemd.archive import write_page
+    from aemd.report import as_json
+
+    if json:
+        print(as_json(many.as_mapping()))
+    else:
+        Console().print(many)
+    if html is not None:
+        write_page(many, title, html)
+        stderr().print(f"report={html}", highlight=False, markup=False)
+    report_failures(many.failed)

@@ -5,28 +5,76 @@ from typing import Annotated
 
 import typer
 
-from aemd.cli.common import EstimatorName, Field, Json, Model, Plot, TimeOf, Topic, app, draw, select, show, stderr
+from aemd.cli.common import (
+    EstimatorName,
+    Field,
+    Jobs,
+    Json,
+    Model,
+    Plot,
+    Scheduler,
+    TimeOf,
+    Topic,
+    app,
+    draw,
+    report_failures,
+    select,
+    show,
+    stderr,
+)
+from aemd.errors import UsageError
 
 
 @app.command()
 def replay(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
+    file: Annotated[
+        str,
+        typer.Argument(metavar="FILE", help="A recording, or many: a folder or a quoted pattern, as 'DIR/**/*.mcap'."),
+    ],
     estimator: EstimatorName = None,
     model: Model = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write readings and new estimates here.")] = None,
+    out: Annotated[
+        str | None,
+        typer.Option("-o", "--out", metavar="FILE", help="Write readings and new estimates here; of many, the folder."),
+    ] = None,
     check: Annotated[bool, typer.Option("--check", help="Compare with the recorded estimates, bit for bit.")] = False,
     plot: Plot = None,
     topic: Topic = None,
     field: Field = None,
     time: TimeOf = None,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
     json: Json = False,
 ) -> None:
-    """Run a recording through the pipeline again: to the same bits, or with another estimator."""
+    """Run a recording through the pipeline again: to the same bits, or with another estimator; or many."""
     from aemd import replay as offline
+    from aemd.archive import is_pattern, replay_archive
 
     selection = select(topic, field, time)
+    if is_pattern(file):
+        if out is None or check or plot is not None:
+            raise UsageError(f"{file}: means many files; name a folder by --out, and leave out --check and --plot")
+        many = replay_archive(
+            file,
+            out,
+            jobs=jobs,
+            scheduler=scheduler,
+            estimator=estimator,
+            model=model,
+            selection=selection,
+            console=stderr(),
+        )
+        show(many, "Replayed", json=json)
+        report_failures(many.failed)
+        return
     result = offline.replay(
-        file, estimator=estimator, model=model, out=out, check=check, selection=selection, console=stderr()
+        Path(file),
+        estimator=estimator,
+        model=model,
+        out=None if out is None else Path(out),
+        check=check,
+        selection=selection,
+        console=stderr(),
     )
     show(result, "Replayed", json=json)
     if plot is not None:
