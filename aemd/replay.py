@@ -97,7 +97,7 @@ def replay(
                 [sink for sink in (tally, recorder, comparison) if sink is not None],
             )
         elapsed_s = (time.monotonic_ns() - start_ns) * 1e-9
-    difference = comparison.verdict() if comparison else None
+    difference = comparison.verdict(_spare(recording, made)) if comparison else None
     return ReplaySummary(
         file=str(path),
         out=None if out is None else str(out),
@@ -176,13 +176,23 @@ class _Comparison:
                 if len(rest):
                     queue.appendleft(rest)
 
-    def verdict(self) -> str | None:
-        """Return where and how the first difference is; None where there is none."""
+    def verdict(self, spare: int = 0) -> str | None:
+        """Return where and how the first difference is; None where there is none.
+
+        Args:
+            spare: new estimates at the end that need no counterpart.
+        """
         if self._difference is None:
             recorded, made = (sum(map(len, queue)) for queue in (self._recorded, self._made))
-            if recorded or made:
+            if recorded or made > spare:
                 return f"{recorded} recorded and {made} new estimates at the end have no counterpart"
         return self._difference
+
+
+def _spare(recording: Readings, estimator: Estimator) -> int:
+    """Return how many of the last estimates a recording may lack: the next file has them, or a crash took them."""
+    reason = recording.metadata.get("aemd.close", {}).get("reason")
+    return 0 if reason in {"stop", "end", "failed"} else estimator.lag + 1
 
 
 def _first_difference(recorded: Estimates, made: Estimates) -> str | None:
