@@ -151,12 +151,28 @@ class GrowingFile:
         Raises:
             RecordingError: the disk refused, or the name was taken meanwhile; the .active file is kept and readable.
         """
+        self.finish_content()
+        self.take_name()
+
+    def finish_content(self) -> None:
+        """Write the summary, and wait for the disk.
+
+        Raises:
+            RecordingError: the disk refused; the .active file is kept and readable.
+        """
         data_end = encode(DataEnd(self._crc))
         self._append_bytes(data_end + self._summary.end(self._good_bytes + len(data_end)))
         if self._room_to > self._good_bytes:
             with self._or_fail():
                 os.ftruncate(self._fd, self._good_bytes)  # the room that was not needed
         self._sync()
+
+    def take_name(self) -> None:
+        """Give the finished file its name, and let go of it.
+
+        Raises:
+            RecordingError: the name was taken meanwhile; the .active file is kept and complete.
+        """
         try:
             take_name(self.active, self.path)
         except OSError as error:
