@@ -133,6 +133,9 @@ class Climb:
         scale = np.diag(curvature) + 1e-6
         while self._damping < 1e6:
             step = np.linalg.solve(curvature + np.diag(self._damping * scale), gradient)
+            if not step.any():  # every number is at a bound, or changes nothing
+                self.done = True
+                return
             cut = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
             if gradient @ cut <= 0:  # cutting each has turned the step downhill
                 cut = step * (_LONGEST_STEP / float(np.abs(step).max()))

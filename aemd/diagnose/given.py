@@ -15,7 +15,7 @@ from aemd import model
 from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts
 from aemd.diagnose.kernels import MARKOV, PAIR, PAIR_SECOND, PREVIOUS, WHITE
 from aemd.diagnose.terms.noise import flicker_processes
-from aemd.diagnose.terms.shapes import lagged
+from aemd.diagnose.terms.witnessed import lagged
 from aemd.errors import ConfigError
 
 __all__ = ["Given", "accept"]

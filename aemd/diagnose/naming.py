@@ -5,20 +5,37 @@ log-likelihood it adds less what its freedom costs, half log n for an amplitude 
 information allows)
 and the logarithm of the number of places it could have been for a location (frequency, instant, time constant). Equal
 prior odds, except where a term states others.
+
+The best of the catalogue may still be the wrong name of what the catalogue does not have. A name is refused where a
+rival from outside explains more, and where a mechanism that acts all the time explains what happened once.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp
 
+import numpy as np
+from scipy.stats import chi2
+
 from aemd.diagnose.climb import Climb, race
 from aemd.diagnose.fit import Fit, begin_with, residuals, steps_for
 from aemd.diagnose.hypothesis import Term
+from aemd.diagnose.terms.noise import Resonance
 
-__all__ = ["Named", "name"]
+__all__ = ["Named", "acts_throughout", "name"]
 
 _CREDIBLE = 0.95
 """The set of names holds the truth with this probability; two rivals 5.4 nats apart are told apart by it."""
+_PARTS = 12
+"""Of the record, over which a gain is compared."""
+_ONCE = 1e-4
+"""p of a gain so uneven, below which what acts all the time is no name for it."""
+_ONCE_UNRESOLVED = 0.01
+"""The same for a resonance as narrow as the record can tell: then one swell is as likely."""
+_EVEN = ("mains_alias", "periodic_interference", "wandering_line", "resonance", "difference_noise", "reading_pattern")
+_LINKED = ("nonlinearity", "signal_dependent_noise", "smoothing")
+"""Mechanisms that act as much as the input moves, which may be uneven."""
+_MOST_IN_ONE = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +50,7 @@ class Named:
 
 
 def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | None:
-    """Return the best candidate and the names it cannot be told from; None if none is worth its freedom.
+    """Return the best candidate and the names it cannot be told from; None if none is worth its freedom or its name.
 
     Args:
         fit: what is explained so far.
@@ -62,4 +79,28 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
         if mass >= _CREDIBLE:
             break
     winner = residuals(best.terms, best.theta, fit.data)
+    if best.terms[-1].cause == "unexplained" or not acts_throughout(fit, winner):
+        return None
     return Named(winner, best.terms[-1], tuple(names), weights[0] / sum(weights), gain)
+
+
+def acts_throughout(before: Fit, after: Fit) -> bool:
+    """Return whether the last term's gain comes from all of the record, where its mechanism says so.
+
+    Over equal parts a gain D adds up from independent pieces of variance twice their mean; a resonance's swings more,
+    as its power in each of its own spans 2 tau is drawn anew, with a variance of its square.
+    """
+    term, used = after.terms[-1], after.data.used
+    gained = np.array([part.sum() for part in np.array_split((after.each - before.each)[used], _PARTS)])
+    total = float(gained.sum())
+    if term.cause in _LINKED:
+        return float(gained.max()) < _MOST_IN_ONE * total
+    if term.cause not in _EVEN or total <= 0:
+        return True
+    spread, once = 2 * total / _PARTS, _ONCE
+    if isinstance(term, Resonance):
+        tau_s = exp(float(after.parts_of(len(after.terms) - 1)[0]))
+        spread += total**2 / _PARTS * 2 * tau_s / after.data.span_s
+        once = _ONCE_UNRESOLVED if tau_s > 0.9 * term.longest_s else _ONCE
+    uneven = float(np.sum((gained - total / _PARTS) ** 2)) / spread
+    return float(chi2.sf(uneven, _PARTS - 1)) > once

@@ -4,7 +4,7 @@ A fit's first reading is at the model's time 0, the middle of the first aperture
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from math import atan2, exp, hypot, inf, pi, sqrt
 from typing import Any
 
@@ -15,7 +15,8 @@ from aemd import model
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.given import Given
 from aemd.diagnose.hypothesis import Base
-from aemd.diagnose.terms.lines import Sines
+from aemd.diagnose.terms.events import PeriodicGlitch, Popcorn, RingDown, ShockLaw
+from aemd.diagnose.terms.lines import Sines, WanderingLine
 from aemd.diagnose.terms.noise import (
     ChangingNoise,
     DifferenceNoise,
@@ -27,7 +28,9 @@ from aemd.diagnose.terms.noise import (
     SignalDependentNoise,
     Smoothing,
 )
-from aemd.diagnose.terms.shapes import Nonlinearity, ReadingPattern, Step, SupplyCoupling, ThermalDrift, WarmUp
+from aemd.diagnose.terms.ranges import RangeOffset, RangeSwitching
+from aemd.diagnose.terms.shapes import Nonlinearity, ReadingPattern, Step, WarmUp
+from aemd.diagnose.terms.witnessed import Latency, SupplyCoupling, ThermalDrift
 
 __all__ = ["as_tables", "to_model"]
 
@@ -57,6 +60,8 @@ def to_model(fit: Fit, aperture_s: float) -> tuple[model.Model, tuple[str, ...]]
         if isinstance(term, Base):
             terms += _base(term, theta, fit, aperture_s)
             continue
+        if isinstance(term, ShockLaw | RingDown):  # a property of the shocks; see _struck
+            continue
         make = _MAKERS.get(type(term))
         if make is None:
             without.append(term.cause)
@@ -64,7 +69,7 @@ def to_model(fit: Fit, aperture_s: float) -> tuple[model.Model, tuple[str, ...]]
         made, changed = make(term, theta, fit, aperture_s)
         terms += made
         effects += changed
-    return model.Model(tuple(terms), 1, tuple(effects)), tuple(without)
+    return model.Model(tuple(_struck(terms, fit)), 1, tuple(effects)), tuple(without)
 
 
 def as_tables(made: model.Model) -> Mapping[str, Any]:
@@ -201,6 +206,87 @@ def _thermal(term: ThermalDrift, v: Floats, fit: Fit, _: float) -> Made:
     ], []
 
 
+def _latency(term: Latency, v: Floats, fit: Fit, _: float) -> Made:
+    lag_s = float(term.lag_s * (1 + v[1]))
+    if term.known:
+        return [], [model.Latency(lag_s=lag_s)]
+    sd, tau_s, mean = _witness_law(fit, term.witness)
+    coefficient = float(v[0] * fit.data.unit_V)
+    return [model.ThermalDrift(coefficient_V_per_C=coefficient, sd_C=sd, tau_s=tau_s, mean_C=mean)], [
+        model.Latency(lag_s=lag_s)
+    ]
+
+
+def _wandering(term: WanderingLine, v: Floats, fit: Fit, aperture_s: float) -> Made:
+    span_s = fit.data.span_s
+    frequency, chirp = float(term.frequency_hz + v[0] / span_s), float(term.chirp_hz_per_s + v[1] / span_s**2)
+    middle_s = span_s / 2 + aperture_s / 2  # of the record, on the model's clock
+    first_hz = frequency - chirp * middle_s
+    turned = 2 * pi * (first_hz + chirp * middle_s / 2) * middle_s
+    passed = float(np.sinc(frequency * aperture_s))
+    return [
+        model.WanderingLine(
+            amplitude_V=hypot(v[2], v[3]) * fit.data.unit_V / max(abs(passed), _BLOCKED),
+            frequency_hz=max(first_hz, 1e-6),
+            chirp_hz_per_s=chirp,
+            phase_rad=atan2(v[2], v[3]) - turned,
+        )
+    ], []
+
+
+def _glitch(term: PeriodicGlitch, v: Floats, fit: Fit, aperture_s: float) -> Made:
+    begin_s = (term.begin_s + aperture_s / 2) % term.period_s
+    amplitude_V = float(v[0] * fit.data.unit_V)
+    return [
+        model.PeriodicPulse(
+            amplitude_V=amplitude_V, period_s=term.period_s, width_s=min(term.width_s, term.period_s), start_s=begin_s
+        )
+    ], []
+
+
+def _popcorn(_term: Popcorn, v: Floats, fit: Fit, _: float) -> Made:
+    step, low_s, high_s = np.exp(v)
+    return [
+        model.PopcornNoise(step_V=float(step * fit.data.unit_V), dwell_low_s=float(low_s), dwell_high_s=float(high_s))
+    ], []
+
+
+def _range_offset(term: RangeOffset, v: Floats, fit: Fit, _: float) -> Made:
+    edge, sign = (term.low, 1.0) if term.upwards else (term.high, -1.0)
+    unit, offset = fit.data.unit_V, float(v[0]) * (term.high - term.low) * fit.data.unit_V
+    return [], [model.RangeSwitching(threshold_V=abs(edge * unit + fit.data.origin_V) or 1e-12, offset_V=sign * offset)]
+
+
+def _range(term: RangeSwitching, v: Floats, fit: Fit, _: float) -> Made:
+    unit = fit.data.unit_V
+    return [], [
+        model.RangeSwitching(
+            threshold_V=term.threshold * unit,
+            hysteresis_V=term.hysteresis * unit,
+            offset_V=float(v[0] * unit),
+            sd_V=exp(v[1]) * unit,
+        )
+    ]
+
+
+def _struck(terms: list[Any], fit: Fit) -> list[Any]:
+    """Return the terms, their shocks with the law and the shape that findings gave them."""
+    changes: dict[str, Any] = {}
+    for number, term in enumerate(fit.terms):
+        v = fit.parts_of(number)
+        if isinstance(term, ShockLaw):
+            changes["positive_fraction"] = float(0.5 + v[0] / 2)
+        elif isinstance(term, RingDown):
+            changes |= {
+                "ring_fraction": hypot(v[2], v[3]),
+                "ring_hz": float(term.frequency_hz + v[1] / term.decay_s),
+                "ring_decay_s": exp(v[0]),
+            }
+    if any(isinstance(term, Popcorn) for term in fit.terms):
+        return [term for term in terms if not isinstance(term, model.Shocks)]
+    return [replace(term, **changes) if changes and isinstance(term, model.Shocks) else term for term in terms]
+
+
 def _supply(term: SupplyCoupling, v: Floats, fit: Fit, _: float) -> Made:
     sd, tau_s, mean = _witness_law(fit, term.witness)
     return [], [model.SupplyCoupling(coefficient_per_V=float(v[0]), sd_V=sd, tau_s=tau_s, mean_V=mean)]
@@ -233,4 +319,10 @@ _MAKERS: Mapping[type, Callable[[Any, Floats, Fit, float], Made]] = {
     ReadingPattern: _pattern,
     ThermalDrift: _thermal,
     SupplyCoupling: _supply,
+    Latency: _latency,
+    WanderingLine: _wandering,
+    PeriodicGlitch: _glitch,
+    Popcorn: _popcorn,
+    RangeOffset: _range_offset,
+    RangeSwitching: _range,
 }

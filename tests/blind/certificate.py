@@ -48,6 +48,7 @@ KINDS = dict.fromkeys(AT_INPUT, "mean") | {
     "shock_law": "innovation",
     "nonlinearity": "mean",
     "supply_coupling": "mean",
+    "range_switching": "mean",
     "reading_pattern": "mean",
     "quantisation": "counted",
     "saturation": "counted",
@@ -134,6 +135,8 @@ LOOKS = {  # (looks, whether it has two quadratures); from 1000 on in thousandth
     "step": (0.1e3 + 900, False),
     "ring_down": (500.0, True),
     "thermal_drift": (10.0, False),
+    "latency": (10.0, False),
+    "range_switching": (20.0, False),
     "supply_coupling": (2.0, False),
     "warmup_drift": (10.0, False),
     "changing_noise": (50.0, False),
@@ -228,6 +231,8 @@ def unit_template(run: Run, effect: Effect) -> np.ndarray:
     value = calm(run)
     if effect.cause == "supply_coupling":
         return value * (supply(make_world(run)) - 5)
+    if effect.cause == "range_switching":
+        return (np.abs(value) >= np.quantile(np.abs(value), effect.shape["part"])).astype(float)
     deviation = value - value.mean()
     if effect.cause == "ooc_gain_step":
         return np.where(np.arange(run.plant.n) * run.plant.interval_s >= effect.shape["time_s"], deviation, 0.0)

@@ -49,6 +49,8 @@ SINGLE = (
     "thermal_drift",
     "warmup_drift",
     "supply_coupling",
+    "latency",
+    "range_switching",
     "nonlinearity",
     "dead_band",
     "reading_pattern",
@@ -61,7 +63,7 @@ SINGLE = (
     "clock_error",
 )
 """Hidden alone. Flicker noise, a random walk and a third Markov process are not among them: on records of these lengths
-the refitted base absorbs them. Nor are range switching and latency: not written yet."""
+the refitted base absorbs them."""
 OUTSIDE = ("ooc_packet", "ooc_bump", "ooc_echo", "ooc_gain_step")
 DOUBLE = ("periodic_interference", "difference_noise", "changing_noise", "quantisation", "reading_pattern", "resonance")
 
@@ -167,7 +169,7 @@ def draw_effect(rng: np.random.Generator, run: Run, cause: str, factor: float) -
     plant = run.plant
     if cause in ("ring_down", "shock_law") and plant.shocks_per_s * plant.n * plant.interval_s < 5:
         return None
-    if cause in ("thermal_drift", "supply_coupling") and not plant.witness:
+    if cause in ("thermal_drift", "latency", "supply_coupling") and not plant.witness:
         return None
     shape = draw_shape(rng, plant, cause)
     if shape is None:
@@ -248,6 +250,8 @@ def draw_shape(rng: np.random.Generator, plant: Plant, cause: str) -> dict[str, 
         "warmup_drift": {"tau_s": span_s * float(rng.uniform(0.02, 0.2))},
         "ring_down": {"frequency_hz": float(rng.uniform(1, rate_hz / 2 - 0.5)), "decay_s": float(rng.uniform(0.5, 3))},
         "thermal_drift": {"lag_s": float(rng.uniform(1, 30))},
+        "latency": {"lag_s": float(rng.uniform(5, 20))},
+        "range_switching": {"part": float(rng.uniform(0.5, 0.9))},
         "reading_pattern": {"period_readings": float(rng.integers(2, 5))},
         "stuck_readings": {"place": float(rng.uniform(0.1, 0.9))},
         "replayed_block": {"place": float(rng.uniform(0.1, 0.9))},

@@ -126,6 +126,15 @@ def thermal(world: World, shape: Mapping[str, float]) -> np.ndarray:
     return np.repeat(lagged, world.plant.points)
 
 
+def delayed(world: World, shape: Mapping[str, float]) -> np.ndarray:
+    """The thermometer's deviation, degrees Celsius, as it was a while before: readings that are stamped late."""
+    deviation = thermometer(world) - 23
+    back = round(shape["lag_s"] / world.plant.interval_s)
+    return np.repeat(
+        np.concatenate((np.full(back, deviation[0]), deviation[: deviation.size - back])), world.plant.points
+    )
+
+
 AT_INPUT: Mapping[str, Callable[[World, Mapping[str, float]], np.ndarray]] = {
     "mains_alias": sine,
     "periodic_interference": sine,
@@ -137,6 +146,7 @@ AT_INPUT: Mapping[str, Callable[[World, Mapping[str, float]], np.ndarray]] = {
     "warmup_drift": warm_up,
     "ring_down": ring_down,
     "thermal_drift": thermal,
+    "latency": delayed,
     "ooc_packet": packet,
     "ooc_bump": bump,
 }
@@ -203,6 +213,13 @@ def supply_coupling(world: World, effect: Effect, record: Record) -> Record:
     return replace(record, value_V=record.value_V * (1 + effect.size * (supply(world) - 5)))
 
 
+def range_switching(world: World, effect: Effect, record: Record) -> Record:
+    """size: V, the offset of the wider range, in which a reading is from the shape's part of all magnitudes on."""
+    magnitude = np.abs(record.value_V)
+    wide = magnitude >= np.quantile(magnitude, effect.shape["part"])
+    return replace(record, value_V=record.value_V + effect.size * wide)
+
+
 def dead_band(world: World, effect: Effect, record: Record) -> Record:
     """size: width, V."""
     level = float(np.median(record.value_V))
@@ -267,6 +284,7 @@ AFTERWARDS: Mapping[str, Callable[[World, Effect, Record], Record]] = {
     "smoothing": smoothing,
     "nonlinearity": nonlinearity,
     "supply_coupling": supply_coupling,
+    "range_switching": range_switching,
     "dead_band": dead_band,
     "quantisation": quantisation,
     "saturation": saturation,

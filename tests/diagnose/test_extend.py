@@ -73,4 +73,4 @@ def test_the_report_of_a_clean_record_claims_no_more_than_was_looked_for():
     text = format_diagnosis(criticise(series(clean(6))))
 
     assert text.startswith("Nothing found")
-    assert "Not looked for: " in text
+    assert "as far as was looked" in text

@@ -1,9 +1,15 @@
 """All checks on the residuals of a fit, in one list."""
 
 from aemd.diagnose.checks.colour import check_colour, check_resonance
+from aemd.diagnose.checks.folding import check_periodic_glitch
 from aemd.diagnose.checks.moments import check_moments
-from aemd.diagnose.checks.shapes import check_pattern, check_step, check_warm_up, check_witness
+from aemd.diagnose.checks.ranges import check_hole, check_range_switching
+from aemd.diagnose.checks.shapes import check_pattern, check_step, check_warm_up
+from aemd.diagnose.checks.shocks import check_ring_down, check_shock_law
 from aemd.diagnose.checks.spectrum import check_lines, make_periodogram
+from aemd.diagnose.checks.telegraph import check_popcorn
+from aemd.diagnose.checks.tracks import check_wandering_line
+from aemd.diagnose.checks.witnessed import check_witness
 from aemd.diagnose.evidence import Evidence
 from aemd.diagnose.fit import Fit
 
@@ -14,12 +20,19 @@ def check_all(fit: Fit, line_frequency_hz: float | None) -> list[Evidence]:
     """Return the evidence of every check, significant or not."""
     found = [
         check_lines(fit, make_periodogram(fit), line_frequency_hz),
+        check_wandering_line(fit),
+        check_periodic_glitch(fit),
         check_pattern(fit),
         check_resonance(fit),
         *check_colour(fit),
         check_step(fit),
         check_warm_up(fit),
+        check_popcorn(fit),
+        check_hole(fit),
+        check_range_switching(fit),
         *check_moments(fit),
+        *check_shock_law(fit),
+        *check_ring_down(fit),
     ]
     for name in sorted(fit.data.witnesses):
         found += check_witness(fit, name)

@@ -11,19 +11,18 @@ from aemd.diagnose.evidence import Evidence, bonferroni, two_sided
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.kernels import whiten
 from aemd.diagnose.terms.lines import amplitude_cost
-from aemd.diagnose.terms.shapes import ReadingPattern, Step, SupplyCoupling, ThermalDrift, WarmUp, lagged
+from aemd.diagnose.terms.shapes import ReadingPattern, Step, WarmUp
 
-__all__ = ["check_pattern", "check_step", "check_warm_up", "check_witness"]
+__all__ = ["check_pattern", "check_step", "check_warm_up", "settled_response"]
 
 Floats = NDArray[np.float64]
 
 _LONGEST_RESPONSE = 20_000
 """Readings of the filter's response to a step that are used; by then it has followed."""
 _PERIODS = (2, 3, 4, 5, 6, 7, 8, 10, 12, 16)
-_SLIDES = 40
 
 
-def _settled_response(fit: Fit, length: int) -> Floats:
+def settled_response(fit: Fit, length: int) -> Floats:
     """Return what the filter leaves, in deviations, of a unit step, once its gains have settled, shape (length,)."""
     used = fit.data.used
     half = used & (np.arange(used.size) > used.size // 4)
@@ -37,7 +36,7 @@ def check_step(fit: Fit) -> Evidence:
     """Look for a step at every reading."""
     data = fit.data
     n = data.y.size
-    response = _settled_response(fit, min(n, _LONGEST_RESPONSE))
+    response = settled_response(fit, min(n, _LONGEST_RESPONSE))
     sums = fftconvolve(fit.z, response[::-1])[response.size - 1 :][:n]
     norms = np.cumsum(response**2)
     size = np.sqrt(norms[np.minimum(n - 1 - np.arange(n), response.size - 1)])
@@ -120,83 +119,3 @@ def check_pattern(fit: Fit) -> Evidence:
         high=float(chi2.isf(0.025 / len(tries), period - 1)) / (period - 1),
         terms=terms,
     )
-
-
-def check_witness(fit: Fit, name: str) -> list[Evidence]:
-    """Regress the residuals on a witness, lagged and not, and on its product with the reading.
-
-    The law is checked on the spot: the same shapes slid along the record by tenths of it and more have nothing to do
-    with it, so where their scores scatter by more than one deviation, the score counts for as much less.
-    """
-    data = fit.data
-    witness = data.witnesses[name] - float(np.mean(data.witnesses[name]))
-    lags = [0.0] + [
-        lag for lag in (3.0, 10.0, 30.0, 100.0, 300.0, 1000.0) if 2 * data.interval_s < lag < data.span_s / 5
-    ]
-    tries = []
-    for lag in lags:
-        shape = fit.whitened(lagged(witness, data.step_s, lag))
-        tries.append((*_slid_score(fit, shape), lag))
-    score, size, lag = max(tries, key=lambda item: abs(item[0]))
-    p_value = bonferroni(two_sided(score), len(lags))
-    one = amplitude_cost(1, data.n)
-    terms: tuple[ThermalDrift, ...] = ()
-    if p_value < 0.05:
-        terms = (ThermalDrift(name, lag, score / max(size, 1e-12), one + log(len(lags))),)
-        if lag == 0.0:
-            terms = (*terms, ThermalDrift(name, 3 * data.interval_s, terms[0].coefficient, one + log(len(lags)) + one))
-    found = [
-        Evidence(
-            check=f"residuals against {name}: score in deviations",
-            p_value=p_value,
-            observed=abs(score),
-            low=0.03,
-            high=float(norm.isf(0.0125 / len(lags))),
-            terms=terms,
-        )
-    ]
-    # A gain multiplies what is predicted, and the innovation as well: both halves of its score.
-    reading = fit.predicted + data.origin_V / data.unit_V
-    score, size = _slid_score(fit, fit.whitened(witness * reading), 2 * witness)
-    p_value = two_sided(score)
-    supply: tuple[SupplyCoupling, ...] = ()
-    if p_value < 0.05:
-        supply = (SupplyCoupling(name, score / max(size, 1e-12), one),)
-    found.append(
-        Evidence(
-            check=f"residuals against {name} times the reading: score in deviations",
-            p_value=p_value,
-            observed=abs(score),
-            low=0.03,
-            high=2.24,
-            terms=supply,
-        )
-    )
-    return found
-
-
-def _slid_score(fit: Fit, shape: Floats, louder: Floats | None = None) -> tuple[float, float]:
-    """Return the score of a whitened shape, not counted above what its slid copies allow, and the score's size.
-
-    Args:
-        fit: whose residuals.
-        shape: change of the residuals by a unit of the effect, shape (n,).
-        louder: change of the logarithm of the innovation's variance by it, shape (n,).
-    """
-    used, n = fit.data.used, shape.size
-    size = float(np.sum(shape**2))
-    squares = np.where(used, fit.z**2 - 1, 0.0)
-    if louder is not None:
-        louder = np.where(used, louder - louder[used].mean(), 0.0)
-        size += 0.25 * float(np.sum(louder**2)) * float(np.mean(squares[used] ** 2))
-    size = sqrt(size)
-    if size == 0:
-        return 0.0, 1.0
-
-    def score(slide: int) -> float:
-        total = float(np.roll(shape, slide) @ fit.z)
-        return (total if louder is None else total + 0.5 * float(np.roll(louder, slide) @ squares)) / size
-
-    slides = np.linspace(0.1 * n, 0.9 * n, _SLIDES).astype(int)
-    spread = sqrt(float(np.mean([score(int(slide)) ** 2 for slide in slides])))
-    return score(0) / max(spread, 1.0), size

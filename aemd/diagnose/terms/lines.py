@@ -1,4 +1,4 @@
-"""Sinusoids: at a frequency of their own, and those of the mains, folded by the sampling."""
+"""Sinusoids: at a frequency of their own, those of the mains, folded by the sampling, and one that sweeps."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts
 
-__all__ = ["Sines", "fold"]
+__all__ = ["Sines", "WanderingLine", "amplitude_cost", "fold"]
 
 Floats = NDArray[np.float64]
 
@@ -84,6 +84,57 @@ class Sines:
                 )
             )
         return shown
+
+
+@dataclass(frozen=True, slots=True)
+class WanderingLine:
+    """a cos(phase) + b sin(phase) of a frequency that sweeps evenly; times count from the middle of the record.
+
+    Free numbers: (f - f0) T, (chirp - chirp0) T^2, a, b.
+    """
+
+    frequency_hz: float
+    """f0, in the middle of the record."""
+    chirp_hz_per_s: float
+    amplitudes: tuple[float, float]
+    cost_nats: float
+    cause: str = "wandering_line"
+
+    @property
+    def start(self) -> Floats:
+        """Free numbers to begin with."""
+        return np.array([0.0, 0.0, *self.amplitudes])
+
+    @property
+    def bounds(self) -> Sequence[Bounds]:
+        """Of frequency and sweep, some steps of the search; amplitudes are free."""
+        return [(-2.0, 2.0), (-4.0, 4.0), (-1e9, 1e9), (-1e9, 1e9)]
+
+    def add(self, theta: Floats, data: Data, parts: Parts) -> None:
+        """Put the wave into the mean."""
+        frequency, chirp = self._law(theta, data)
+        t_s = data.t_s - data.span_s / 2
+        angle = 2 * np.pi * (frequency + chirp * t_s / 2) * t_s
+        parts.mean += theta[2] * np.cos(angle) + theta[3] * np.sin(angle)
+
+    def parameters(self, data: Data) -> Sequence[Parameter]:
+        """Return the frequency at the first reading, its change, and the peak amplitude."""
+        unit, half_s = data.unit_V, data.span_s / 2
+
+        def first(v: Floats) -> float:
+            frequency, chirp = self._law(v, data)
+            return frequency - chirp * half_s
+
+        return [
+            Parameter("frequency_hz", "Hz", first),
+            Parameter("chirp_hz_per_s", "Hz/s", lambda v: self._law(v, data)[1], positive=False),
+            Parameter("amplitude_V", "V", lambda v: hypot(v[2], v[3]) * unit),
+        ]
+
+    def _law(self, theta: Floats, data: Data) -> tuple[float, float]:
+        """Return the frequency in the middle, Hz, and its change, Hz/s."""
+        span_s = data.span_s
+        return float(self.frequency_hz + theta[0] / span_s), float(self.chirp_hz_per_s + theta[1] / span_s**2)
 
 
 def amplitude_cost(count: int, n: int) -> float:

@@ -16,6 +16,7 @@ __all__ = [
     "ExtraMarkov",
     "Flicker",
     "HeavyTails",
+    "Louder",
     "RandomWalk",
     "Resonance",
     "SignalDependentNoise",
@@ -271,6 +272,40 @@ class ChangingNoise:
             Parameter("dwell_s", "s", lambda _: self.end_s - self.begin_s),
             Parameter("ratio", "", lambda v: exp(v[0])),
         ]
+
+
+@dataclass(frozen=True, slots=True)
+class Louder:
+    """Everything but the level multiplied by a ratio from one instant to another; free number log ratio.
+
+    No mechanism of the catalogue, so where it explains more than a noise that changes, that name is refused.
+    """
+
+    begin_s: float
+    end_s: float
+    ratio: float
+    cost_nats: float
+    cause: str = "unexplained"
+
+    @property
+    def start(self) -> Floats:
+        """Free numbers to begin with."""
+        return np.array([log(self.ratio)])
+
+    @property
+    def bounds(self) -> Sequence[Bounds]:
+        """Of the ratio."""
+        return [(log(1e-3), log(1e3))]
+
+    def add(self, theta: Floats, data: Data, parts: Parts) -> None:
+        """Scale the processes and the white noise between the instants."""
+        inside = (data.t_s >= self.begin_s) & (data.t_s < self.end_s)
+        parts.scale = np.where(inside, parts.scale * exp(theta[0]), parts.scale)
+        parts.noise_var = np.where(inside, parts.noise_var * exp(2 * theta[0]), parts.noise_var)
+
+    def parameters(self, data: Data) -> Sequence[Parameter]:  # noqa: ARG002 - a Term's
+        """Return nothing: it is never reported."""
+        return []
 
 
 @dataclass(frozen=True, slots=True)

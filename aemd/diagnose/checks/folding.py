@@ -1,0 +1,130 @@
+"""Pulses that come back at even times: the residuals folded over every period."""
+
+from math import ceil, log, sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.signal import fftconvolve
+from scipy.stats import norm
+
+from aemd.diagnose.checks.shapes import settled_response
+from aemd.diagnose.evidence import Evidence, bonferroni, two_sided
+from aemd.diagnose.fit import Fit
+from aemd.diagnose.terms.events import PeriodicGlitch
+from aemd.diagnose.terms.lines import amplitude_cost
+
+__all__ = ["check_periodic_glitch"]
+
+Floats = NDArray[np.float64]
+
+_WIDTHS = (1, 2, 4)
+"""Readings that a pulse lasts."""
+_SHORTEST = 20
+"""Readings; shorter periods are lines with a few harmonics, or patterns."""
+_LONGEST = 600
+_LEAST_PULSES = 8
+_LONG = 60_000
+"""Readings that are folded; of a longer record, the first so many."""
+
+
+def check_periodic_glitch(fit: Fit) -> Evidence:
+    """Fold what a pulse of each width leaves in the residuals, over every period to a reading per record.
+
+    The response to a pulse is short beside the periods, so what is summed is independent and normal.
+    """
+    data = fit.data
+    even = np.zeros(int(data.slot[-1]) + 1)
+    even[data.slot[data.used]] = fit.z[data.used]
+    even = even[:_LONG]
+    longest = min(_LONGEST, even.size // _LEAST_PULSES)
+    best, trials = (0.0, 0.0, 0, 1), 1.0
+    step = settled_response(fit, min(even.size, 4 * _LONGEST))
+    for width in _WIDTHS:
+        pulse = step - np.concatenate((np.zeros(width), step[:-width]))
+        pulse = pulse[:_SHORTEST] / sqrt(float(np.sum(pulse[:_SHORTEST] ** 2)))
+        matched = fftconvolve(even, pulse[::-1])[pulse.size - 1 :][: even.size]
+        for period in range(_SHORTEST, longest):
+            score, shift, phase, rows = _fold(matched, period)
+            score /= sqrt(ceil(even.size / period))
+            if abs(score) > abs(best[0]):
+                best = score, period + shift / max(rows - 1, 1), phase, width
+        trials += float(even.size) * max(longest - _SHORTEST, 0)
+    score, period_readings, phase, width = best
+    p_value = bonferroni(two_sided(score), trials)
+    terms: tuple[PeriodicGlitch, ...] = ()
+    if p_value < 0.05:
+        cost = amplitude_cost(1, data.n) + log(trials)
+        begin = float(data.t_s[0]) + (phase - 0.5) * data.interval_s
+        terms = (_refined(fit, period_readings * data.interval_s, begin, width * data.interval_s, cost),)
+    return Evidence(
+        check="strongest train of pulses in the folded residuals: score in deviations",
+        p_value=p_value,
+        observed=abs(score),
+        low=float(norm.isf(0.5 * (1 - 0.025 ** (1 / trials)))) - 1,
+        high=float(norm.isf(0.0125 / trials)),
+        terms=terms,
+    )
+
+
+@njit(cache=True)
+def _fold(x: Floats, period: int) -> tuple[float, int, int, int]:
+    """Return the largest sum over rows, its shift over all of them, its phase, and the number of rows.
+
+    Staelin's fast folding (Proc. IEEE 57, 724, 1969): rows of one period each are added in pairs, pairs of pairs and so
+    on, the lower half shifted by half the shift, so that all shifts up to one per row cost as much as a sort.
+    """
+    rows = 1
+    while rows * period < x.size:
+        rows *= 2
+    table, other = np.zeros((rows, period)), np.zeros((rows, period))
+    for k in range(x.size):
+        table[k // period, k % period] = x[k]
+    size = 2
+    while size <= rows:
+        half = size // 2
+        for begin in range(0, rows, size):
+            for shift in range(size):
+                turn = ((shift + 1) // 2) % period
+                top, bottom = table[begin + shift // 2], table[begin + half + shift // 2]
+                out = other[begin + shift]
+                for k in range(period - turn):
+                    out[k] = top[k] + bottom[k + turn]
+                for k in range(period - turn, period):
+                    out[k] = top[k] + bottom[k + turn - period]
+        table, other = other, table
+        size *= 2
+    best, at_shift, at_phase = 0.0, 0, 0
+    for shift in range(rows):
+        for k in range(period):
+            if abs(table[shift, k]) > abs(best):
+                best, at_shift, at_phase = table[shift, k], shift, k
+    return best, at_shift, at_phase, rows
+
+
+def _refined(fit: Fit, period_s: float, begin_s: float, width_s: float, cost: float) -> PeriodicGlitch:
+    """Return the train near this one that explains most; its instants are not fitted again."""
+    data, interval = fit.data, fit.data.interval_s
+    pulses = data.span_s / period_s
+
+    def worth(period: float, begin: float, width: float) -> tuple[float, float]:
+        left = fit.whitened(PeriodicGlitch(period, begin, width, 1.0, cost).shape(data))
+        size = float(left @ left)
+        return (0.0, 0.0) if size == 0 else (float(left @ fit.z) ** 2 / size, float(left @ fit.z) / size)
+
+    here = (period_s, begin_s, width_s)
+    top, size = worth(*here)
+    for reach in (1.0, 0.5, 0.25):
+        for _ in range(2):
+            for d_period in (-1.0, -0.5, 0.0, 0.5, 1.0):
+                for d_begin in (-1.0, -0.5, 0.0, 0.5, 1.0):
+                    for d_width in (-1.0, 0.0, 1.0):
+                        trial = (
+                            here[0] + reach * d_period * interval / pulses,
+                            here[1] + reach * (d_begin - d_period / 2) * interval,
+                            max(here[2] + reach * d_width * interval, 0.5 * interval),
+                        )
+                        value, amplitude = worth(*trial)
+                        if value > top:
+                            here, top, size = trial, value, amplitude
+    return PeriodicGlitch(*here, size, cost)

@@ -1,0 +1,143 @@
+"""The shocks themselves: whether their signs are even, whether they come alone, and what follows them."""
+
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binom, binomtest, chi2
+
+from aemd.diagnose.checks.spectrum import regress
+from aemd.diagnose.evidence import Evidence, bonferroni
+from aemd.diagnose.fit import Fit
+from aemd.diagnose.kernels import MARKOV
+from aemd.diagnose.terms.events import RingDown, ShockLaw, rung
+from aemd.diagnose.terms.lines import amplitude_cost
+
+__all__ = ["Marks", "check_ring_down", "check_shock_law", "marks_of"]
+
+Floats = NDArray[np.float64]
+
+_CLEAR = 4.5
+"""Deviations of the undisturbed innovation from which a reading is surely struck: seven in a million by chance."""
+_SAME = 3
+"""Readings within which two marks are of one shock, cut by an aperture or faded not quite as the base has it."""
+_LEAST = 5
+_CLOSE = (0.03, 0.1, 0.3)
+"""Gaps, in mean gaps, below which there should not be too many."""
+_DECAYS = 5
+_LOWEST_TURNS = 1.0
+"""Turns within a decay from which what follows a shock is a wave and no second decay."""
+
+
+@dataclass(frozen=True, slots=True)
+class Marks:
+    """Readings that were surely struck."""
+
+    at: NDArray[np.int64]
+    size: Floats
+    """By how much the reading moved the shock's state, in scaled units."""
+
+
+def marks_of(fit: Fit) -> Marks | None:
+    """Return the shocks; None where the model has none."""
+    at_state = [
+        number for number, row in enumerate(fit.states) if row[0] == MARKOV and row[3] == 0 and row[4] == 0 and row[5]
+    ]
+    if not at_state:
+        return None
+    struck = fit.data.used & (np.abs(fit.innovation) > _CLEAR * np.sqrt(fit.variance))
+    at = np.flatnonzero(struck)
+    at = at[np.concatenate(([True], np.diff(at) > _SAME))] if at.size else at
+    return Marks(at, fit.gains[at, at_state[0]] * fit.innovation[at])
+
+
+def check_shock_law(fit: Fit) -> list[Evidence]:
+    """Count the shocks' signs, and the gaps between them that are short."""
+    marks = marks_of(fit)
+    if marks is None or marks.at.size < _LEAST:
+        return []
+    count, positive = marks.at.size, int(np.count_nonzero(marks.size > 0))
+    known = sum(float(fit.parts_of(at)[0]) for at, term in enumerate(fit.terms) if isinstance(term, ShockLaw))
+    even = 0.5 + known / 2
+    p_value = float(binomtest(positive, count, even).pvalue)
+    bias = float(np.clip(2 * positive / count - 1, -0.95, 0.95))
+    signs = Evidence(
+        check="part of the shocks that are positive",
+        p_value=p_value,
+        observed=positive / count,
+        low=float(binom.ppf(0.025, count, even)) / count,
+        high=float(binom.ppf(0.975, count, even)) / count,
+        terms=(ShockLaw(bias, 0.5 * log(count)),) if p_value < 0.05 else (),
+    )
+    # Of so many instants anywhere in the record, a gap exceeds the part x of it with probability (1 - x)^count; that
+    # they share the record makes counts of short ones scatter less than binomially.
+    gaps = np.diff(fit.data.t_s[marks.at]) / fit.data.span_s
+    tries = []
+    for close in _CLOSE:
+        dead = (_SAME + 1) * fit.data.interval_s / fit.data.span_s
+        share = 1 - (1 - max(close / count, dead)) ** count
+        seen = int(np.count_nonzero(gaps < max(close / count, dead)))
+        tries.append((float(binom.sf(seen - 1, gaps.size, share)), seen, share))
+    p_value, seen, share = min(tries)
+    return [
+        signs,
+        Evidence(
+            check="shocks that follow one another closely",
+            p_value=bonferroni(p_value, len(_CLOSE)),
+            observed=float(seen),
+            low=float(binom.ppf(0.025, gaps.size, share)),
+            high=float(binom.ppf(0.975, gaps.size, share)),
+        ),
+    ]
+
+
+def check_ring_down(fit: Fit) -> list[Evidence]:
+    """Look for damped waves set off by the shocks, over their frequencies and decays.
+
+    What is laid under the residuals after a shock is known from the shock's own reading, so its correlation with them
+    is a sum whose terms the past decides: its two quadratures, over their own deviations, have chi-square's law.
+    """
+    marks = marks_of(fit)
+    if marks is None or marks.at.size < _LEAST:
+        return []
+    data = fit.data
+    struck = np.zeros(data.y.size)
+    struck[marks.at] = marks.size
+    best, trials = (0.0, 0.0, 1.0), 0.0
+    decays = np.geomspace(4 * data.interval_s, min(100 * data.interval_s, data.span_s / 10), _DECAYS)
+    for decay in decays:
+        spacing = 1 / (4 * decay)
+        for frequency in np.arange(_LOWEST_TURNS / decay, 0.5 / data.interval_s, spacing):
+            wave = rung(struck, data.step_s, float(frequency), float(decay))
+            waves = np.column_stack((wave.real, wave.imag)) / np.sqrt(fit.variance)[:, None]
+            waves[~data.used] = 0.0
+            together = waves.T @ waves
+            scores = waves.T @ fit.z
+            scale = float(np.trace(together))
+            if scale <= 0:  # no reading after the only shocks
+                continue
+            power = float(scores @ np.linalg.solve(together + 1e-9 * scale * np.eye(2), scores))
+            trials += 1
+            if power > best[0]:
+                best = power, float(frequency), float(decay)
+    if not trials:
+        return []
+    power, frequency, decay = best
+    p_value = bonferroni(float(chi2.sf(power, 2)), trials)
+    terms: tuple[RingDown, ...] = ()
+    if p_value < 0.05:
+        wave = rung(struck, data.step_s, frequency, decay)
+        (a, b), _ = regress(fit, [np.ascontiguousarray(wave.real), np.ascontiguousarray(wave.imag)])
+        cost = amplitude_cost(2, data.n) + log(trials)
+        terms = (RingDown(struck, frequency, decay, (float(a), float(b)), cost),)
+    return [
+        Evidence(
+            check="damped waves after the shocks: chi-square of two degrees",
+            p_value=p_value,
+            observed=power,
+            low=float(chi2.isf(0.975 ** (1 / trials) if trials > 1 else 0.975, 2)),
+            high=float(chi2.isf(0.025 / trials, 2)),
+            terms=terms,
+        )
+    ]
