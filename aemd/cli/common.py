@@ -122,12 +122,12 @@ def _picture(path: Path | None) -> Path | None:
     return path
 
 
-def draw(recording: str, picture: Path | None) -> None:
+def draw(recording: str, picture: Path | None, selection: "Selection | None" = None) -> None:
     """Draw a recording if a picture was asked for."""
     if picture is not None:
         from aemd.picture import draw
 
-        draw(Path(recording), picture)
+        draw(Path(recording), picture, selection=selection, console=stderr())
         stderr().print(f"picture={picture}", highlight=False, markup=False)
 
 

@@ -77,8 +77,7 @@ def replay(
         console=stderr(),
     )
     show(result, "Replayed", json=json)
-    if plot is not None:
-        draw(result.out or result.file, plot)
+    draw(result.out or result.file, plot, None if result.out else selection)
     if result.identical is False:
         raise typer.Exit(1)
 
