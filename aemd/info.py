@@ -16,6 +16,9 @@ class Info:
     file: str
     readings: int
     lost: int
+    not_written: int
+    """Of all files of this acquisition up to this one: readings that were acquired and are in none, because the disk was
+    full or failed. Those before this file's first reading are among its lost ones, too."""
     gaps: int
     t0: float | None
     """Instant of the first reading, s since 1970 (UTC); None where there is none."""
@@ -28,6 +31,10 @@ class Info:
     unit: str
     finalised: bool
     """Whether the file was closed in order; if not, what was flushed is counted."""
+    closed: str
+    """Why: stop, end, rotate, disk-full, failed, recovered; empty where it does not say."""
+    segment: int
+    """Number of this file among those of its acquisition, from 1."""
 
 
 def inspect(path: Path) -> Info:
@@ -39,10 +46,12 @@ def inspect(path: Path) -> Info:
     with Recording(path, allow_unfinished=True) as recording:
         found = recording.statistics()
         told = recording.description
+        close = recording.metadata.get("aemd.close", {})
         return Info(
             file=str(path),
             readings=found.readings,
             lost=found.lost,
+            not_written=_number(close.get("not_written", told.segment.get("not_written", "")), 0),
             gaps=found.gaps,
             t0=found.t0_ns * 1e-9 if found.readings else None,
             t1=found.t1_ns * 1e-9 if found.readings else None,
@@ -51,4 +60,10 @@ def inspect(path: Path) -> Info:
             estimator=told.estimator.get("name", ""),
             unit=told.unit,
             finalised=recording.is_finished,
+            closed=close.get("reason", ""),
+            segment=_number(told.segment.get("number", ""), 1),
         )
+
+
+def _number(text: str, otherwise: int) -> int:
+    return int(text) if text.isdecimal() else otherwise
