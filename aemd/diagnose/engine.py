@@ -24,6 +24,7 @@ from aemd.diagnose.intervals import covariance, describe
 from aemd.diagnose.naming import Named, name
 from aemd.diagnose.result import Diagnosis, Discrepancy, Finding, Gain, Verdict
 from aemd.diagnose.series import Series, load_series
+from aemd.diagnose.steadiness import compare_allan
 from aemd.diagnose.translate import as_tables, to_model
 from aemd.simulate import read_model
 
@@ -125,6 +126,7 @@ def criticise(
         ),
         base_model=_tables(base, series.aperture_s),
         extended_model=_tables(fit, series.aperture_s),
+        allan=compare_allan(base, fit),
         path=series.path,
         seconds=time.perf_counter() - begun,
         covered=COVERED,

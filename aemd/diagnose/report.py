@@ -6,6 +6,8 @@ from aemd.diagnose.result import Diagnosis, Finding, Value
 
 __all__ = ["format_diagnosis", "format_finding"]
 
+_VISIBLE = 0.005
+"""Relative change of a figure of three digits that shows."""
 _PREFIXES = {0: "", -3: "m", -6: "µ", -9: "n", -12: "p", 3: "k", 6: "M"}
 
 
@@ -16,6 +18,8 @@ def format_diagnosis(diagnosis: Diagnosis) -> str:
         lines += [*_finding(finding), ""]
     if diagnosis.not_covered:
         lines.append(f"Not looked for: {', '.join(diagnosis.not_covered)}.")
+    if diagnosis.allan:
+        lines.append(_steadiness(diagnosis))
     lines.append(f"{diagnosis.n:,} readings at {diagnosis.rate_hz:.4g} /s, judged in {diagnosis.seconds:.1f} s.")
     return "\n".join(lines) + "\n"
 
@@ -23,6 +27,17 @@ def format_diagnosis(diagnosis: Diagnosis) -> str:
 def format_finding(finding: Finding) -> str:
     """Return the two lines of one finding."""
     return "\n".join(_finding(finding))
+
+
+def _steadiness(diagnosis: Diagnosis) -> str:
+    """Return the Allan deviations, and what they would be without what the findings account for."""
+    parts = []
+    for item in diagnosis.allan:
+        text = f"{_engineer(item.before_V, 'V')} at {item.averaging_s:.3g} s"
+        if abs(item.after_V / item.before_V - 1) > _VISIBLE:
+            text += f" ({_engineer(item.after_V, 'V')} without what is explained)"
+        parts.append(text)
+    return f"Allan deviation: {', '.join(parts)}."
 
 
 def _verdict(diagnosis: Diagnosis) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-__all__ = ["Diagnosis", "Discrepancy", "Finding", "Gain", "Value", "Verdict"]
+__all__ = ["Allan", "Diagnosis", "Discrepancy", "Finding", "Gain", "Value", "Verdict"]
 
 Verdict = Literal["nothing_found", "explained", "unexplained"]
 
@@ -66,6 +66,15 @@ class Discrepancy:
 
 
 @dataclass(frozen=True, slots=True)
+class Allan:
+    """How steady the readings are over an averaging time, as they are and without what the findings account for."""
+
+    averaging_s: float
+    before_V: float
+    after_V: float
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """The whole answer."""
 
@@ -77,6 +86,9 @@ class Diagnosis:
     base_model: Mapping[str, Any]
     extended_model: Mapping[str, Any]
     seconds: float
+    allan: tuple[Allan, ...] = ()
+    """At 1, 10 and 100 s, as far as the record allows. Only what the findings predict can be taken off: a line, a step
+    or a temperature's share can, additional noise cannot."""
     path: str = ""
     """The file."""
     covered: tuple[str, ...] = field(default=())

@@ -23,6 +23,7 @@ from tests.blind.score import (
 __all__ = ["write_report"]
 
 Share = tuple[int, int]
+ORACLE_D = 60.0
 
 
 def write_report(pairs: Sequence[Pair], *, salt: str, key_hash: str, covered: Sequence[str]) -> str:
@@ -72,7 +73,7 @@ def write_report(pairs: Sequence[Pair], *, salt: str, key_hash: str, covered: Se
         "| figure | hits | share |",
         "| --- | --- | --- |",
         *(
-            f"| {what} | {text(share)} | {band(share)} |"
+            f"| {what} | {text(share)} | {band(share)} |" if isinstance(share, tuple) else f"| {what} | | {share} |"
             for what, share in (
                 ("found, looked for, at 1.25 times or more", (sum(map(found, loud)), len(loud))),
                 ("named first, of all found", (sum(map(named, told)), len(told))),
@@ -81,6 +82,7 @@ def write_report(pairs: Sequence[Pair], *, salt: str, key_hash: str, covered: Se
                 ("outside the catalogue: found", outside_found(pairs)),
                 ("outside the catalogue: a confident wrong name", confident_wrong(pairs)),
                 ("baseline: anything said on clean runs", baseline_alarms(pairs)),
+                ("held-out gain over the oracle's, named right, D >= 60", oracle_share(pairs)),
                 ("95 % intervals that hold the truth", pooled(coverage(pairs).values())),
             )
         ),
@@ -107,6 +109,17 @@ def write_report(pairs: Sequence[Pair], *, salt: str, key_hash: str, covered: Se
         "",
     ]
     return "\n".join(lines)
+
+
+def oracle_share(pairs: Sequence[Pair]) -> str:
+    """Return the sum of gains over that of D, which is what the true model gains on the same blocks on average."""
+    gains = [
+        (pair.findings[0]["gain"]["nats_total"], pair.envelope.d_nats[0])
+        for pair in pairs
+        if pair.envelope.group in ALONE and found(pair) and named(pair) and pair.envelope.d_nats[0] >= ORACLE_D
+    ]
+    total = sum(d for _, d in gains)
+    return f"{sum(gain for gain, _ in gains) / total:.2f} over {len(gains)} runs" if gains else "no such run"
 
 
 def outside_found(pairs: Sequence[Pair]) -> Share:
