@@ -17,8 +17,8 @@ class Info:
     readings: int
     lost: int
     not_written: int
-    """Of all files of this acquisition up to this one: readings that were acquired and are in none, because the disk was
-    full or failed. Those before this file's first reading are among its lost ones, too."""
+    """In no file of this acquisition, though acquired, up to the end of this one: the disk was full or failed. Those
+    directly before this file's first reading are among its lost ones, too."""
     gaps: int
     t0: float | None
     """Instant of the first reading, s since 1970 (UTC); None where there is none."""
