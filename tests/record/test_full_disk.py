@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aemd.block import ESTIMATE, Batch
+from aemd.block import Batch
 from aemd.record.check import check
 from aemd.record.reader import Recording
 from aemd.record.recovery import recover
 from aemd.record.writer import Recorder
 from aemd.replay import replay
-from tests.record.made import DESCRIPTION, readings_of
+from tests.record.made import DESCRIPTION, estimates_of, readings_of
 
 CONFIG = """
 [instrument]
@@ -63,7 +63,10 @@ def _wait_for(condition: Callable[[], bool], process: subprocess.Popen[str], sec
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize("min_free_bytes", [0, 3_000_000], ids=["to the last byte", "some left to others"])
+@pytest.mark.parametrize(
+    "min_free_bytes",
+    [pytest.param(0, id="to the last byte"), pytest.param(3_000_000, id="some left", marks=pytest.mark.slow)],
+)
 def test_a_full_disk_is_survived_counted_and_recording_goes_on_by_itself(
     small_disk: Path, tmp_path: Path, min_free_bytes: int
 ) -> None:
@@ -137,7 +140,8 @@ def _readings(path: Path) -> np.ndarray:
 
 def test_what_a_kill_left_on_a_full_disk_is_finished_with_the_room_that_it_gives_back(small_disk: Path) -> None:
     recorder = Recorder(small_disk / "r.mcap", DESCRIPTION, chunk_bytes=4000, keep_room=True)
-    recorder.write(Batch(readings_of(2000)), np.empty(0, ESTIMATE))
+    readings = readings_of(2000)
+    recorder.write(Batch(readings), estimates_of(readings))
     recorder.release()
     _fill(small_disk / "filler")
 
