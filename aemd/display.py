@@ -4,6 +4,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
@@ -15,8 +16,10 @@ from rich.text import Text
 
 from aemd.acquire.instrument import Clock
 from aemd.block import NOT_A_VALUE, Batch, Estimates
-from aemd.config import Scale
-from aemd.pipeline import Tally
+
+if TYPE_CHECKING:  # they bring the compiler, which who only looks at a running acquisition has no need to wait for
+    from aemd.config import Scale
+    from aemd.pipeline import Tally
 
 __all__ = ["Progress", "advancing", "counting", "format_quantity", "showing", "sparkline"]
 
@@ -64,7 +67,7 @@ def format_quantity(value: float, unit: str, digits: int = 6) -> str:
 class Progress:
     """A sink that keeps what a person wants to see of the last moments."""
 
-    def __init__(self, tally: Tally, scale: Scale, clock: Clock) -> None:
+    def __init__(self, tally: "Tally", scale: "Scale", clock: Clock) -> None:
         self._tally = tally
         self._scale = scale
         self._clock = clock
@@ -149,7 +152,7 @@ class _Lines:
 
 
 @contextmanager
-def showing(tally: Tally, scale: Scale, console: Console, clock: Clock) -> Iterator[Progress | _Lines]:
+def showing(tally: "Tally", scale: "Scale", console: Console, clock: Clock) -> Iterator[Progress | _Lines]:
     """Give a sink that shows progress on the console: in place on a terminal, as lines elsewhere."""
     progress = Progress(tally, scale, clock)
     if console.is_terminal:

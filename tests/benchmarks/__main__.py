@@ -2,9 +2,15 @@
 
 import sys
 
-from tests.benchmarks import estimators, files, offline, stream
+from tests.benchmarks import estimators, files, live, offline, stream
 
-BENCHMARKS = {"stream": stream.main, "estimators": estimators.main, "files": files.main, "offline": offline.main}
+BENCHMARKS = {
+    "stream": stream.main,
+    "estimators": estimators.main,
+    "files": files.main,
+    "offline": offline.main,
+    "live": live.main,
+}
 
 for name in sys.argv[1:] or BENCHMARKS:
     BENCHMARKS[name]()

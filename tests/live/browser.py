@@ -85,10 +85,14 @@ def acquiring(folder: Path, *options: str) -> Iterator[tuple[str, "subprocess.Po
                 break
         else:
             raise AssertionError("".join(said))
-        threading.Thread(target=process.stderr.read, daemon=True).start()
+        drain = threading.Thread(target=process.stderr.read, daemon=True)
+        drain.start()
         yield said[-1].removeprefix("live=").strip(), process
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=30) == 0
+        drain.join()
     finally:
         process.kill()
         process.wait()
+        if process.stderr is not None:
+            process.stderr.close()

@@ -51,6 +51,15 @@ def test_a_lost_reading_costs_the_differences_beside_it_and_nothing_else() -> No
     assert deviations == pytest.approx([np.sqrt((step**2).mean() / 2) for step in steps])
 
 
+@pytest.mark.parametrize("cuts", [[], [1, 4, 8]])
+def test_a_block_of_which_less_than_half_is_there_is_no_block(cuts: list[int]) -> None:
+    index = np.array([0, *range(4, 16)])
+
+    lengths, _, pairs = fed(np.zeros(13), cuts, index).deviations()
+
+    assert dict(zip(lengths, pairs, strict=True))[4] == 2  # of blocks 1, 2, 3: block 0 has one reading of four
+
+
 def test_nothing_is_compared_across_a_long_hole() -> None:
     running = fed(np.zeros(1000), [])
     running.add(np.arange(1000) + 1000 + 10 * MOST_MISSING, np.ones(1000))

@@ -57,6 +57,16 @@ def test_a_viewer_that_was_away_gets_no_more_than_its_span(bench: Bench) -> None
     assert len(columns["n"]) <= 201
 
 
+def test_a_new_viewer_is_told_to_begin_anew_and_one_that_was_away_is_not(bench: Bench) -> None:
+    bench.read([0.0])
+    _, away = bench.feed.frame(SPAN_NS, 200, Place())
+    for _ in range(20):
+        bench.read([1.0] * 100)
+
+    assert not json.loads(bench.feed.frame(SPAN_NS, 200, away)[0])["fresh"]
+    assert json.loads(bench.feed.frame(SPAN_NS, 200, Place(second=away.second))[0])["fresh"]
+
+
 def test_viewers_with_the_same_view_share_one_frame(bench: Bench) -> None:
     bench.read([1.0, 2.0])
 
