@@ -140,7 +140,7 @@ def recording_to(out: Path | None, description: Description, choice: EstimatorCh
     if out is None:
         yield None
         return
-    recorder = Recorder(out, replace(description, estimator=choice.as_text()))
+    recorder = Recorder(out, replace(description, estimator=choice.as_text()), compression="zstd-fast")
     try:
         yield recorder
     except BaseException:

@@ -180,8 +180,8 @@ class _Misplaced(Exception):  # noqa: N818 - never leaves this file
 
 def _index_records(rows: Rows) -> dict[int, bytes]:
     found = {}
-    for channel in np.unique(rows.channel).tolist():
-        mine = rows.channel == channel
+    for channel in np.flatnonzero(np.bincount(rows.channel)).tolist():
+        mine = np.flatnonzero(rows.channel == channel)
         found[channel] = encode_index(channel, rows.log_time[mine], rows.start[mine])
     return found
 
