@@ -288,6 +288,4 @@ class Line:
         if message is None:
             self._has_lost = True
             return
-        if self._messages:  # nothing overtakes
-            message.due_ns = max(message.due_ns, self._messages[-1].due_ns)
-        self._messages.append(message)
+        self._messages.append(message)  # and waits for those before it, late or not
