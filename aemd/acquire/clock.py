@@ -125,7 +125,8 @@ class DeviceClock:
         What is known of the rate is kept, as far as it cannot have wandered since: the crystals are the same.
         """
         if self._now is not None:
-            wander = WANDER_PER_S * max(0.0, self._since_ns(self._now, self._now.index, asked_ns)) * 1e-9
+            away_ns = self._since_ns(self._now, self._now.index, asked_ns) - self._now.earliest_ns
+            wander = WANDER_PER_S * max(0.0, away_ns) * 1e-9
             self._slowest = max(self._slowest - wander, -self._rate_bound)
             self._fastest = min(self._fastest + wander, self._rate_bound)
         self._run_index = index
@@ -143,7 +144,7 @@ class DeviceClock:
             return 0
         before = self._before
         bounds = before if before is not None and index < now.first_index else now
-        middle_ns = bounds.middle_ns if bounds.width_ns < inf else max(bounds.earliest_ns, 0.0)
+        middle_ns = bounds.middle_ns if bounds.width_ns < inf else bounds.earliest_ns
         nominal_ns = bounds.origin_ns + (index - bounds.first_index) * self.interval_ns - self._delay_ns
         return round(nominal_ns + middle_ns + self.rate * (index - bounds.index) * self.interval_ns)
 
@@ -171,9 +172,10 @@ class DeviceClock:
         latest_ns = now.latest_ns if now.latest_ns < inf else now.earliest_ns + self.interval_ns
         since_asked_ns = self._since_ns(now, now.index, asked_ns)
         since_answered_ns = self._since_ns(now, now.index, answered_ns)
-        drift_ns = _drift_ns(since_answered_ns)
-        latest_ns += self._fastest * since_asked_ns + drift_ns
-        earliest_ns = now.earliest_ns + self._slowest * since_answered_ns - drift_ns
+        # An epoch that was first seen in its middle has bounds far from 0: what has passed since is the difference.
+        drift_ns = _drift_ns(since_answered_ns - now.earliest_ns)
+        latest_ns += self._fastest * (since_asked_ns - latest_ns) + drift_ns
+        earliest_ns = now.earliest_ns + self._slowest * (since_answered_ns - now.earliest_ns) - drift_ns
         least = now.index + 1 + floor((since_asked_ns - latest_ns) / self.interval_ns)
         largest = now.index + 1 + floor((since_answered_ns - earliest_ns) / self.interval_ns)
         return least, largest

@@ -162,7 +162,7 @@ class Ledger:
         slack = SLACK_READINGS + SLACK_RATE * (look.answered_ns - self._looked_ns) / self._clock.interval_ns
         if counted > largest + slack:  # the host's monotonic clock stood still: it was suspended
             self._clock.forget_offset()
-        if counted >= least - slack:
+        if counted >= least - slack or least > largest:
             return 0, 0
         doubt = (largest - least + 1) // 2
         self._clock.doubt(doubt)

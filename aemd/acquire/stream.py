@@ -129,6 +129,7 @@ class Stream:
         self._told_to_stop = False
         self._sampling = False
         self._is_lost = False
+        self._is_probing = False
 
     def deliveries(self) -> Iterator[Delivery]:
         """Yield what each look brought, in order, until told to stop or all is there.
@@ -168,11 +169,25 @@ class Stream:
             return True
         now_ns = self._clock()
         if not (self._left and self._room()):
-            poll_s = min(self._poll_s, EAGER_POLL_S) if self._is_eager() else self._poll_s
+            poll_s = min(self._poll_s, EAGER_POLL_S) if self._is_eager() else self._until_epoch_s()
             # From the time that was due, so that the cadence holds; from now, if that has already passed.
             self._next_look_ns = max(now_ns, self._next_look_ns + round(poll_s * 1e9))
         self._told_to_stop = self._wait(max(0, self._next_look_ns - now_ns) * 1e-9)
         return self._told_to_stop
+
+    def _until_epoch_s(self) -> float:
+        """Return the time until the next look; no look may jump over the last readings of a timing epoch.
+
+        Looks that are asked for to be rare are, as long as the clock is well known.
+        """
+        epoch_readings = self._instrument.epoch_readings
+        poll_s = self._poll_s
+        if self.fit.uncertainty_ns > WELL_KNOWN_NS:
+            poll_s = min(poll_s, choose_poll_s(self._instrument.interval_s))
+        if not epoch_readings:
+            return poll_s
+        left = epoch_readings - (self.ledger.next_index - self.ledger.run_index) % epoch_readings - EAGER_BEFORE
+        return min(poll_s, max(EAGER_POLL_S, left * self._instrument.interval_s))
 
     def _is_eager(self) -> bool:
         """Tell whether to look often for a while: a timing epoch is about to begin or has begun and is ill known."""
@@ -190,11 +205,13 @@ class Stream:
     def _look(self) -> Delivery | None:
         """Take what is waiting as far as there is room for it."""
         self.turns += 1
-        most = min(self._room(), self._missing(), MOST_AT_ONCE)
+        # After a failure a single reading is risked first: a line that tears one block may tear the next.
+        most = min(self._room(), self._missing(), 1 if self._is_probing else MOST_AT_ONCE)
         drain = self._instrument.drain(most)
         recount = self._recount(drain)
         block, events = self.ledger.enter(drain, recount)
         self._left = drain.waiting - block.size
+        self._is_probing = self._is_probing and not block.size
         self._taken += block.size
         if drain.waiting or not self._sampling:
             self._newest_ns = drain.answered_ns
@@ -253,6 +270,7 @@ class Stream:
         if not isinstance(instrument, Recoverable) or self._fresh_starts > FRESH_STARTS:
             raise error
         self.outages += 1
+        self._is_probing = True
         began_ns = self._clock()
         yield self._told("link", f"{'silent' if is_silent else 'lost'}: {error}")
         pause_s = 0.0
