@@ -9,10 +9,10 @@
     34401A   512        50,000   0.02       no timer    34401A user's guide; no R?, no DATA subsystem, no aperture
 
 "samples" is the largest SAMPle:COUNt; for the 34410A and 34411A it is not in print and taken as the memory's size.
-The Truevolt guide says of SAMPle:SOURce TIMer that it "applies only to the 34465A and 34470A". The noise of all of them
+By the Truevolt guide, SAMPle:SOURce TIMer is for the 34465A and 34470A only. The noise of all of them
 is that of the 34410A, and only the DC volts function exists. The USB product numbers of the 34410A (0957:0607) and the
-34411A (0957:0A07) are those of libsigrok's udev rules; those of the Truevolt meters (2A8D:1301 the 34461A, 2A8D:0101 the
-34465A) are from resource strings in users' public scripts.
+34411A (0957:0A07) are those of libsigrok's udev rules; those of the Truevolt meters (2A8D:1301 the 34461A, 2A8D:0101
+the 34465A) are from resource strings in users' public scripts.
 """
 
 from dataclasses import dataclass
