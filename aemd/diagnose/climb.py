@@ -30,6 +30,7 @@ _LONGEST_STEP = 1.5  # of any free number at once; most are logarithms
 _CONVERGED = 1e-2  # nats that are not worth another step
 _CONVERGED_PER_READING = 3e-7  # in a long record a hundredth of a nat is far below what can be told
 _FREE = 1e-2  # damping above which a small gain may be a short step's and not the top's
+_ONE_TOP = 0.3  # nats between climbs that have met on one top
 _FLAT = 0.1  # of what is worth a step: a free number that can gain no more stays
 _DIFFERENCE = 1e-5  # of a free number, for the derivatives
 HOPELESS = 20.0
@@ -120,6 +121,11 @@ class Climb:
         """Log-likelihood less cost."""
         return self.value - self.cost_nats
 
+    def meets(self, other: "Climb") -> bool:
+        """Return whether it is all but where another of the same hypothesis has come to rest."""
+        same = self.terms[-1].cause == other.terms[-1].cause and self.theta.size == other.theta.size
+        return other.done and same and abs(self.value - other.value) < _ONE_TOP and self.gained < 10 * _ONE_TOP
+
     def step(self) -> None:
         """Take one step, or say that there is none worth taking."""
         enough = max(_CONVERGED, _CONVERGED_PER_READING * self._data.n)
@@ -168,7 +174,16 @@ def race(starts: Sequence[Climb], iterations: int) -> list[Climb]:
             if not one.done:
                 one.step()
         top = max(one.worth for one in left)
-        left = [one for one in left if one.worth + _STILL_TO_COME * one.gained >= top - HOPELESS]
+        left = _distinct([one for one in left if one.worth + _STILL_TO_COME * one.gained >= top - HOPELESS])
         if all(one.done for one in left):
             break
     return sorted(left, key=lambda one: -one.worth)
+
+
+def _distinct(starts: Sequence[Climb]) -> list[Climb]:
+    """Return the starts without those that came to a top where another of the same hypothesis stands."""
+    kept: list[Climb] = []
+    for one in sorted(starts, key=lambda one: not one.done):
+        if not any(one.meets(other) for other in kept):
+            kept.append(one)
+    return kept

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aemd.diagnose.catalogue import COVERED, EXPERIMENTS, NOT_COVERED
 from aemd.diagnose.checks.integrity import check_raw
@@ -30,6 +31,7 @@ from aemd.simulate import read_model
 
 __all__ = ["criticise", "diagnose"]
 
+Floats = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 _LEVEL = 0.003
@@ -85,7 +87,7 @@ def criticise(
     if (dropped & series.used).any():
         base = _begin(make_data(series, dropped), series, stated)
 
-    fit, named, seen, left = base, list[tuple[Evidence, Named]](), list[Evidence](), list[Evidence]()
+    fit, before, named, seen, left = base, base, list[tuple[Evidence, Named]](), list[Evidence](), list[Evidence]()
     for number in range(_ROUNDS):
         tell(f"checking the residuals, round {number + 1}")
         evidence = check_all(fit, line_frequency_hz)
@@ -98,13 +100,15 @@ def criticise(
         found = name(fit, candidates, _LEAST_NATS)
         if found is None:
             break
-        named.append((left[0], found))
-        fit = restart_base(found.fit)
+        named.append((_nominating(left, found), found))
+        before, fit = fit, restart_base(found.fit)
+    full = fit
     fit, named = _pruned(fit, named)
     tell("measuring gains on held-out blocks")
     expected = stated[1] if stated else frozenset[str]()
     findings = [_from_defect(defect, base) for defect in defects if defect.cause not in expected]
-    explained = _explained(fit, named)
+    spread = covariance(fit)
+    explained = _explained(fit, named, spread, before if fit is full else None)
     worse = [item for item in explained if item.gain.nats_total <= 0]
     findings += [item for item in explained if item.gain.nats_total > 0]
     if worse:  # what does not predict is no explanation, however well it fits
@@ -112,6 +116,7 @@ def criticise(
         bad = {item.cause for item in worse}
         kept = [number for number, term in enumerate(fit.terms) if term.cause not in bad]
         fit = refit([fit.terms[number] for number in kept], fit.data, np.concatenate([fit.parts_of(at) for at in kept]))
+        spread = covariance(fit)
     if left:
         findings.append(_unexplained(left, fit))
     verdict: Verdict = "unexplained" if left or worse else "explained" if findings else "nothing_found"
@@ -124,8 +129,8 @@ def criticise(
             [Discrepancy(d.check, d.observed, 0.0, d.expected, d.p_value) for d in defects]
             + [Discrepancy(e.check, e.observed, e.low, e.high, e.p_value) for e in seen]
         ),
-        base_model=_tables(base, series.aperture_s),
-        extended_model=_tables(fit, series.aperture_s),
+        base_model=_tables(base, series.aperture_s, spread if base is fit else covariance(base)),
+        extended_model=_tables(fit, series.aperture_s, spread),
         allan=compare_allan(base, fit),
         path=series.path,
         seconds=time.perf_counter() - begun,
@@ -141,10 +146,9 @@ def _begin(data: Data, series: Series, stated: tuple[Given, frozenset[str]] | No
     return residuals([replace(stated[0], aperture_s=series.aperture_s)], np.empty(0), data)
 
 
-def _tables(fit: Fit, aperture_s: float) -> dict[str, Any]:
+def _tables(fit: Fit, aperture_s: float, spread: Floats) -> dict[str, Any]:
     """Return a fit as the catalogue's model, and its parameters with their intervals."""
     made, without = to_model(fit, aperture_s)
-    spread = covariance(fit)
     return {
         **as_tables(made),
         "without_term": list(without),
@@ -153,6 +157,12 @@ def _tables(fit: Fit, aperture_s: float) -> dict[str, Any]:
             for number, term in enumerate(fit.terms)
         },
     }
+
+
+def _nominating(left: list[Evidence], found: Named) -> Evidence:
+    """Return the most surprising of the checks that asked for what was found."""
+    asked = (item for item in left if any(term.cause == found.term.cause for term in item.terms))
+    return next(asked, left[0])
 
 
 def _significant(evidence: list[Evidence], level: float) -> list[Evidence]:
@@ -193,16 +203,23 @@ def _from_defect(defect: Defect, base: Fit) -> Finding:
     )
 
 
-def _explained(fit: Fit, named: list[tuple[Evidence, Named]]) -> list[Finding]:
-    """Return a finding for each term, measured against the same model without it."""
-    if not named:
-        return []
-    spread = covariance(fit)
+def _explained(fit: Fit, named: list[tuple[Evidence, Named]], spread: Floats, before: Fit | None) -> list[Finding]:
+    """Return a finding for each term, measured against the same model without it.
+
+    Args:
+        fit: base and terms.
+        named: the terms with their evidence.
+        spread: covariance of the fit's free numbers.
+        before: the fit without the last term, where it is known.
+    """
     findings = []
     for number, (evidence, found) in enumerate(named, start=1):
-        terms = [term for at, term in enumerate(fit.terms) if at != number]
-        start = np.concatenate([fit.parts_of(at) for at in range(len(fit.terms)) if at != number])
-        without = restart_base(refit(terms, fit.data, start))
+        if before is not None and number == len(named):
+            without = before
+        else:
+            terms = [term for at, term in enumerate(fit.terms) if at != number]
+            start = np.concatenate([fit.parts_of(at) for at in range(len(fit.terms)) if at != number])
+            without = restart_base(refit(terms, fit.data, start))
         held, forward = HeldOut(fit.data, block_of(fit.data, found.term)), found.term.cause in SLOW
         findings.append(
             Finding(

@@ -37,7 +37,8 @@ _SHORT = 5_000  # readings below which likelihoods have several tops, and more s
 _LONG = 20_000  # readings beyond which the mixture is first fitted to a part
 _DECAYS = tuple(0.3 * 1.6**k for k in range(10))
 """Intervals that shocks of the starts take to decay."""
-_FINALISTS = 3
+_STARTERS = 6
+_FINALISTS = 2
 """Starts that go on to a longer part of the record."""
 
 
@@ -170,24 +171,45 @@ def _with_shocks(fit: Fit) -> Fit | None:
     core = sqrt(float(np.median(fit.variance[used]))) * width
     large = max(float(np.std(z[out])) / width * core if out.any() else 0.0, 3 * core)
     rate = max(int(np.count_nonzero(out)), 1) / data.span_s
-    some = data if data.n <= _LONG else data.only(np.arange(data.y.size) < _LONG)
+    some = data if data.n <= _LONG else data.first(_LONG)
     calm, jumps_per_s, jump = without_jumps(some)
     begins = [(theta, rate * more, large) for more in (1.0, 4.0)]
     if jump > 0:
         begins += [(start, jumps_per_s, jump) for start in (_fit_calm(calm), *usual_starts(some))]
-    few = data if data.n <= _SHORT else data.only(np.arange(data.y.size) < _SHORT)
-    starts = [_best_decay(few, *begin) for begin in begins]
+    few = data if data.n <= _SHORT else data.first(_SHORT)
+    starts = sorted((_best_decay(data, few, *begin) for begin in begins), key=lambda one: -one.value)[:_STARTERS]
     for part in (few, some, data):  # each on the shoulders of the last
         if part is few or part.n > few.n:
-            starts, few = [Climb(one.terms, one.theta, part) for one in starts], part
+            thetas = [one.theta for one in starts]
+            if part is not few:
+                thetas += _begun_anew(thetas[0], part)
+            starts, few = [Climb(starts[0].terms, theta, part) for theta in thetas], part
             starts = race(starts, steps_for(part))[:_FINALISTS]
     return residuals(starts[0].terms, starts[0].theta, data)
 
 
-def _best_decay(data: Data, start: Floats, per_s: float, size: float) -> Climb:
-    """Return the best of starts with shocks of that rate and size whose decays differ: it is the likelihood's ridge."""
+def _begun_anew(theta: Floats, data: Data) -> list[Floats]:
+    """Return starts with the shocks of another but processes of their own.
+
+    What few readings do not show, a slow drift above all, has been left out by their fit, and is not found again by
+    climbing: the likelihood is flat where a process is not there.
+    """
+    calm, with_drift = theta.copy(), theta.copy()
+    calm[:5] = _fit_calm(without_jumps(data)[0])[:5]
+    if theta[3] + theta[2] / 2 > theta[1] + theta[0] / 2:  # the drift's place holds the larger process
+        with_drift[:2] = theta[2:4]
+    with_drift[2] = log(data.span_s / 5)
+    with_drift[3] = with_drift[1] + log(0.1)
+    return [calm, with_drift]
+
+
+def _best_decay(data: Data, few: Data, start: Floats, per_s: float, size: float) -> Climb:
+    """Return the best of starts with shocks of that rate and size whose decays differ: it is the likelihood's ridge.
+
+    Bounds are those of all the data, the likelihood is that of the first few.
+    """
     bases = [base_start_with_shocks(data, start, per_s, size, steps * data.interval_s) for steps in _DECAYS]
-    return max((Climb([base], base.start, data) for base in bases), key=lambda one: one.value)
+    return max((Climb([base], base.start, few) for base in bases), key=lambda one: one.value)
 
 
 def restart_base(fit: Fit) -> Fit:
@@ -201,7 +223,7 @@ def restart_base(fit: Fit) -> Fit:
     mean = fit.mean - fit.theta[5]
     starts = [Climb(fit.terms, fit.theta, data)]
     starts[0].done = True
-    for start in spectral_starts(replace(data, y=data.y - mean))[:2]:
+    for start in spectral_starts(replace(data, y=data.y - mean))[: 2 if data.n <= _LONG else 1]:
         theta = fit.theta.copy()
         theta[:5] = start[:5]
         starts.append(Climb(fit.terms, theta, data))

@@ -5,7 +5,7 @@ and scaled, so that one optimiser fits them all. What a user reads (volts, secon
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import exp, log, sqrt
 from typing import Protocol
 
@@ -54,16 +54,18 @@ class Data:
 
     def only(self, used: NDArray[np.bool_]) -> "Data":
         """Return the same with fewer readings used."""
-        return Data(
-            self.y,
-            self.used & used,
-            self.step_s,
-            self.t_s,
-            self.slot,
-            self.interval_s,
-            self.origin_V,
-            self.unit_V,
-            self.witnesses,
+        return replace(self, used=self.used & used)
+
+    def first(self, count: int) -> "Data":
+        """Return the first readings alone."""
+        return replace(
+            self,
+            y=self.y[:count],
+            used=self.used[:count],
+            step_s=self.step_s[:count],
+            t_s=self.t_s[:count],
+            slot=self.slot[:count],
+            witnesses={name: values[:count] for name, values in self.witnesses.items()},
         )
 
 
