@@ -3,7 +3,7 @@ PY  ?= python3
 PIP := $(PY) -m pip --python .venv/bin/python --disable-pip-version-check install --quiet
 BIN := .venv/bin
 
-.PHONY: run test test-slow setup bench blind lock clean
+.PHONY: run test test-slow setup bench blind storm bench-links lock clean
 
 run: .venv/ready ## acquire ten seconds from the simulated meter
 	$(BIN)/aemd acquire --seconds 10 --out recordings
@@ -26,6 +26,12 @@ bench: .venv/ready ## performance, side by side in one run, as ratios
 
 blind: .venv/ready ## hide effects in data and see what the critic finds; writes tests/blind/REPORT.md
 	$(BIN)/python -m tests.blind
+
+storm: .venv/ready ## ten days of 1,000 faults each, accelerated; SEED=n for one
+	$(BIN)/python -m tests.storm $(if $(SEED),--seed $(SEED))
+
+bench-links: .venv/ready ## each link: readings/s drained, and kept up for a minute, beside peers and the bare link
+	$(BIN)/python -m tests.benchmarks.links
 
 # --without-pip and `pip --python`: Debian packs ensurepip apart from python3.
 .venv/ready: pyproject.toml .ci/requirements.lock .ci/peers.lock
