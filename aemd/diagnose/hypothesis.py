@@ -103,7 +103,7 @@ class Parts:
     kept: float = 0.0
     """Share of the last reading in the next one, by a smoothing after all else."""
     telegraph: Floats | None = None
-    """Step, and mean stay below and above it, s, of a level that jumps to and fro; it replaces the shocks."""
+    """Step, and mean stay below and above it, s, of a level that jumps between two values; it replaces the shocks."""
 
 
 @dataclass(frozen=True, slots=True)
