@@ -251,7 +251,7 @@ function line(pen, x0, y0, x1, y1, colour, width = 1) {
 // Draw a y axis of quantities (already in the sensor's unit); return the map from value to pixel.
 function drawY(pen, area, [low, high], asQuantity) {
   const toY = (value) => area.y1 - ((value - low) / (high - low)) * (area.y1 - area.y0);
-  const step = niceStep(high - low, (area.y1 - area.y0) / 34);
+  const step = niceStep(high - low, (area.y1 - area.y0) / (area.y1 - area.y0 > 150 ? 34 : 24));
   const [size, name] = asQuantity ? prefixFor(Math.max(Math.abs(low), Math.abs(high))) : [1, ""];
   const decimals = Math.min(9, Math.max(0, -Math.floor(Math.log10(step / size) + 1e-9)));
   pen.textBaseline = "middle";
@@ -371,15 +371,15 @@ function drawInput(view) {
   clip(pen, area);
   const y = (name) => (cell) => toY(scale(cell[name]));
   const estimated = runs(view.estimates, view.apart_ms, "mean");
-  pen.fillStyle = colours.band;
+  const read = runs(view.readings, view.apart_ms, "lo");
+  drawEnvelope(pen, read, view.toX, y("lo"), y("hi"), colours.readings, 1);
+  pen.fillStyle = colours.band; // over the readings, which would hide it
   for (const run of estimated) {
     pen.beginPath();
     run.forEach((cell) => pen.lineTo(view.toX(cell.t), y("band_hi")(cell)));
     run.slice().reverse().forEach((cell) => pen.lineTo(view.toX(cell.t), y("band_lo")(cell)));
     pen.fill();
   }
-  const read = runs(view.readings, view.apart_ms, "lo");
-  drawEnvelope(pen, read, view.toX, y("lo"), y("hi"), colours.readings, 1);
   if ((area.x1 - area.x0) / view.readings.length > 3) drawDots(pen, view.readings, view.toX, y("lo"), colours.readings, 1.7);
   drawEnvelope(pen, estimated, view.toX, y("mean"), y("mean"), colours.estimate, 1.5);
   pen.fillStyle = colours.bad; // readings without a value, along the bottom
@@ -451,7 +451,7 @@ function drawHistogram() {
     pen.textAlign = "center";
     pen.fillText(quantity(asValue(histogram.median_V + z * histogram.spread_V), 3), toX(histogram.median_V + z * histogram.spread_V), area.y1 + 6);
   });
-  setText("histogram-text", `σ ${quantity(Math.abs(stretch(histogram.spread_V)), 3).slice(1)} · ${total} readings`);
+  setText("histogram-text", `σ ${quantity(Math.abs(stretch(histogram.spread_V)), 3).slice(1)} · n ${total}`);
   byId("chart-histogram").dataset.total = total;
 }
 
