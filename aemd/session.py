@@ -136,7 +136,7 @@ def acquire(
             with (
                 _recovering(folder, console),
                 acquisition,
-                watched(notifier, lambda: _pulse(acquisition, recorder), lambda: _status(tally, folder)),
+                watched(notifier, lambda: _pulse(acquisition, recorder), lambda: _status(tally, rollover, folder)),
                 stop.passing_on_to(acquisition),
                 showing(tally, config.scale, console, time.monotonic_ns) as progress,
                 _shown(views, _about(config, instrument), sources, console),
@@ -175,10 +175,11 @@ def _pulse(acquisition: Acquisition, recorder: Background) -> Pulse:
     return Pulse(acquisition.turns, counts.delivered, counts.in_flight, recorder.turns)
 
 
-def _status(tally: Tally, folder: Path) -> str:
+def _status(tally: Tally, rollover: Rollover, folder: Path) -> str:
     """Return what `systemctl status` shows."""
     free_GB = shutil.disk_usage(folder).free * 1e-9
-    return f"{tally.rate_hz:.2f}/s  {tally.counts.readings} readings  lost {tally.counts.lost}  disk {free_GB:.0f} GB"
+    lost = f"lost {tally.counts.lost}  not written {rollover.not_written}"
+    return f"{tally.rate_hz:.2f}/s  {tally.counts.readings} readings  {lost}  disk {free_GB:.0f} GB"
 
 
 @contextmanager
