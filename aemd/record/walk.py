@@ -23,6 +23,7 @@ _FOOTER = bytes([Opcode.FOOTER]) + (20).to_bytes(8, "little")
 _END_BYTES = len(_FOOTER) + 20 + len(MCAP0_MAGIC)
 
 _KEPT_BYTES = 8 << 20  # of the file, in memory at a time
+_AROUND_BYTES = 2 << 20  # that the kernel may map before the byte that is read
 
 _AnyRecord = TypeVar("_AnyRecord", bound=McapRecord)
 
@@ -46,8 +47,8 @@ def walk(octets: mmap, at: int = len(MCAP0_MAGIC)) -> Iterator[Record]:
     kept_from = at
     while at + FRAME.size <= len(octets):
         if at - kept_from > _KEPT_BYTES:
-            kept_from -= kept_from % PAGESIZE
-            octets.madvise(MADV_DONTNEED, kept_from, (at - kept_from) // PAGESIZE * PAGESIZE)
+            begin = max(kept_from - _AROUND_BYTES, 0) // PAGESIZE * PAGESIZE
+            octets.madvise(MADV_DONTNEED, begin, (at - begin) // PAGESIZE * PAGESIZE)
             kept_from = at
         opcode, length = FRAME.unpack_from(octets, at)
         end = at + FRAME.size + length
