@@ -6,7 +6,7 @@ them, so a mechanism that is dropped here is missed there.
 
 from collections.abc import Mapping
 
-__all__ = ["COVERED", "EXPERIMENTS", "NOT_COVERED"]
+__all__ = ["COVERED", "EXPERIMENTS", "NOT_COVERED", "experiment_for"]
 
 _ALL = (
     "missing_samples",
@@ -73,8 +73,14 @@ EXPERIMENTS: Mapping[str, str] = {
     "thermal_drift": "change the witness, a room by 5 degrees, and let it go back: the reading follows with this lag, "
     "or it does not",
     "warmup_drift": "switch off for an hour, then on again: the same decay comes back, or it was the input",
-    "supply_coupling": "change the supply by a known amount at a constant input",
+    "supply_coupling": "change the witness by a known amount at a constant input",
     "nonlinearity": "apply three known levels, evenly spaced: a straight scale keeps their distances equal",
     "reading_pattern": "switch autozero off, or change the readings per trigger: the pattern changes with it",
 }
 """The cheapest test of each name."""
+
+
+def experiment_for(name: str, witness: str = "") -> str:
+    """Return the cheapest test of a name, with the witness's own name where the mechanism has one."""
+    text = EXPERIMENTS.get(name, "")
+    return text.replace("the witness", f"the {witness.replace('_', ' ')}") if witness else text

@@ -44,7 +44,7 @@ def split(terms: Sequence[Term], theta: Floats) -> list[Floats]:
 
 
 def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[float, Floats | None, tuple[Any, ...]]:
-    """Return the share that a smoothing keeps, what jumps between two values, and the filter's arguments after the data."""
+    """Return the share that a smoothing keeps, what jumps between two levels, and the filter's arguments."""
     parts = Parts(np.zeros(data.y.size), np.zeros(data.y.size), np.ones(data.y.size))
     for term, numbers in zip(terms, split(terms, theta), strict=True):
         term.add(numbers, data, parts)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aemd.diagnose.catalogue import COVERED, EXPERIMENTS, NOT_COVERED
+from aemd.diagnose.catalogue import COVERED, NOT_COVERED, experiment_for
 from aemd.diagnose.checks.integrity import check_raw
 from aemd.diagnose.checks.residuals import check_all
 from aemd.diagnose.evidence import Defect, Evidence
@@ -236,7 +236,7 @@ def _explained(fit: Fit, named: list[tuple[Evidence, Named]], spread: Floats, be
                 ),
                 rms_before=without.innovation_rms,
                 rms_after=fit.innovation_rms,
-                experiment=EXPERIMENTS.get(found.names[0], ""),
+                experiment=experiment_for(found.names[0], getattr(found.term, "witness", "")),
             )
         )
     return findings

@@ -6,7 +6,6 @@ enough.
 """
 
 from base64 import b64encode
-from collections.abc import Callable
 from dataclasses import replace
 from html import escape
 from io import BytesIO
@@ -18,6 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from aemd import __version__
+from aemd.diagnose.curves import Curve, after_jumps, folded, levels, running_deviation, unwound
 from aemd.diagnose.extend import model_of
 from aemd.diagnose.report import format_diagnosis, format_finding
 from aemd.diagnose.result import Diagnosis, Finding
@@ -28,8 +28,6 @@ from aemd.model import Model
 __all__ = ["write_html"]
 
 Floats = NDArray[np.float64]
-Curve = Callable[[Floats, float], tuple[Floats, Floats]]
-"""From readings, V, and their interval, s, to the two axes of a figure."""
 
 _SIMULATIONS = 40
 _LONGEST = 20_000
@@ -135,7 +133,36 @@ def _picture(finding: Finding, series: Series, bands: dict[str, Floats]) -> Figu
     axes = figure.subplots()
     values = finding.parameters
     shown = values.get("alias_hz") or values.get("frequency_hz")
-    if shown is not None:
+    witness = next((name for name in series.witnesses if name.replace("_", " ") in finding.experiment), None)
+    if finding.cause == "wandering_line":
+        line = unwound(values["frequency_hz"].value, values["chirp_hz_per_s"].value)
+        _draw(axes, line, series, bands)
+        axes.set(yscale="log", xlabel="frequency with the sweep taken off, Hz", ylabel="density, V²/Hz")
+    elif finding.cause == "periodic_glitch":
+        _draw(axes, folded(values["period_s"].value), series, bands)
+        axes.set(xlabel="time within the period, s", ylabel="mean level, V")
+    elif finding.cause in ("ring_down", "shock_law"):
+        _draw(axes, after_jumps, series, bands)
+        axes.set(xlabel="time after a large change, s", ylabel="mean level, in sizes of the change")
+    elif finding.cause in ("changing_noise", "signal_dependent_noise"):
+        _draw(axes, running_deviation, series, bands)
+        axes.set(xlabel="time, s", ylabel="deviation of neighbours, V")
+    elif finding.cause == "range_switching":
+        sign = 1.0 if float(np.nanmedian(series.value_V)) >= 0 else -1.0
+        width_V = max(6 * abs(values["offset_V"].value), float(np.nanstd(series.value_V)))
+        _draw(axes, levels(sign * values["level_V"].value, width_V), series, bands)
+        axes.set(xlabel="reading, V", ylabel="readings")
+    elif finding.cause in ("thermal_drift", "latency", "supply_coupling") and witness is not None:
+        axes.plot(series.time_s, series.value_V * 1e3, lw=0.5, color=_COLOURS["data"], rasterized=True)
+        axes.set(xlabel="time, s", ylabel="reading, mV")
+        beside = axes.twinx()
+        beside.plot(series.time_s, series.witnesses[witness], lw=1.2, color=_COLOURS["extended"], rasterized=True)
+        beside.set(ylabel=witness)
+    elif finding.cause == "popcorn_noise":
+        near = series.time_s < 20 * values["dwell_s"].value
+        axes.plot(series.time_s[near], series.value_V[near] * 1e3, ".-", lw=0.5, ms=2, color=_COLOURS["data"])
+        axes.set(xlabel="time, s", ylabel="reading, mV")
+    elif shown is not None:
         _draw(axes, lambda y, step_s: _fine_spectrum(y, step_s, shown.value), series, bands)
         axes.set(yscale="log", xlabel="frequency, Hz", ylabel="density, V²/Hz")
     elif "time_s" in values:

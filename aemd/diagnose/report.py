@@ -1,11 +1,15 @@
 """A diagnosis as text for a terminal: the verdict, then two lines a finding."""
 
-from math import isfinite, log10
+import re
+from math import isfinite, log, log10
 
 from aemd.diagnose.result import Diagnosis, Finding, Value
 
 __all__ = ["format_diagnosis", "format_finding"]
 
+_UNIT = r"(_V|_hz)?_per_(rt_s|s|[A-Z]+)$|_(V|hz|s|readings)$"
+_TOLD_APART = 5.4
+"""Nats between two names from which the likelier is right in 95 %: Phi(sqrt(D/2))."""
 _VISIBLE = 0.005
 """Relative change of a figure of three digits that shows."""
 _PREFIXES = {0: "", -3: "m", -6: "µ", -9: "n", -12: "p", 3: "k", 6: "M"}
@@ -18,6 +22,8 @@ def format_diagnosis(diagnosis: Diagnosis) -> str:
         lines += [*_finding(finding), ""]
     if diagnosis.not_covered:
         lines.append(f"Not looked for: {', '.join(diagnosis.not_covered)}.")
+    if any(finding.gain.nats_total for finding in diagnosis.findings):
+        lines.append("Nats say how much more probable the readings become: 5 nats are odds of 150 to 1.")
     if diagnosis.allan:
         lines.append(_steadiness(diagnosis))
     lines.append(f"{diagnosis.n:,} readings at {diagnosis.rate_hz:.4g} /s, judged in {diagnosis.seconds:.1f} s.")
@@ -60,6 +66,7 @@ def _finding(finding: Finding) -> tuple[str, str]:
     else:
         others = ", ".join(_plain(name) for name in finding.names[1:])
         what = f"Consistent with {_plain(finding.cause)} ({finding.probability:.0%}), not told apart from {others}"
+        what += _longer(finding)
     evidence = (
         "certain" if finding.p_value == 0 else f"p = {max(finding.p_value, 1e-300):.1g} over all places it was sought"
     )
@@ -73,10 +80,21 @@ def _finding(finding: Finding) -> tuple[str, str]:
     return f"{what}: {sizes + '; ' if sizes else ''}{evidence}{worth}.", f"  Next: {finding.experiment}."
 
 
+def _longer(finding: Finding) -> str:
+    """Return how much longer a record would tell the names apart, if evidence goes on to come as it did."""
+    nats = log(finding.probability / max(1 - finding.probability, 1e-6))
+    if nats < _TOLD_APART / 50:
+        return " by any record of this kind"
+    return f" (about {max(_TOLD_APART / nats, 1.5):.1f} times as long a record would)"
+
+
 def _plain(name: str) -> str:
-    for unit in ("_V_per_rt_s", "_V_per_C", "_per_V", "_per_s", "_readings", "_hz", "_V", "_s"):
-        name = name.removesuffix(unit)
-    return name.replace("_", " ")
+    """Return a parameter's or mechanism's name in words, without its unit.
+
+    >>> _plain("coefficient_V_per_C"), _plain("step_V"), _plain("chirp_hz_per_s"), _plain("mains_alias")
+    ('coefficient', 'step', 'chirp', 'mains alias')
+    """
+    return re.sub(_UNIT, "", name).replace("_", " ")
 
 
 def _say(value: Value) -> str:

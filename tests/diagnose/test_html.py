@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from aemd.diagnose import diagnose, write_html
+from aemd.diagnose.curves import after_jumps, folded, levels, running_deviation, unwound
 from aemd.errors import RecordingError
-from tests.diagnose.plant import clean, times
+from tests.diagnose.plant import INTERVAL_S, clean, times
 
 
 @pytest.fixture
@@ -24,6 +25,23 @@ def test_the_page_needs_nothing_but_itself_and_has_a_picture_for_each_finding(di
     assert 'src="data:image' in page
     assert "http" not in page.replace("http://www.w3.org", "")
     assert "Consistent with periodic interference" in page
+
+
+@pytest.mark.parametrize("curve", [after_jumps, running_deviation, folded(3.0), levels(1.0, 5e-3), unwound(3.3, 1e-4)])
+def test_each_picture_has_as_many_abscissas_as_ordinates_and_no_gaps(curve):
+    x, y = curve(clean(1), INTERVAL_S)
+
+    assert x.size == y.size > 10
+    assert np.isfinite(y).all()
+    assert (np.diff(x) > 0).all()
+
+
+def test_a_sweeping_line_stands_still_once_unwound():
+    t = times()
+    y = clean(1) + 1e-3 * np.sin(2 * np.pi * (3.3 + 0.5e-3 * t / 2) * t)
+    f, power = unwound(3.3, 0.5e-3)(y, INTERVAL_S)
+
+    assert f[np.argmax(power)] == pytest.approx(3.3, abs=2 / t[-1])
 
 
 def test_a_page_that_cannot_be_written_is_one_line(diagnosis, tmp_path):
