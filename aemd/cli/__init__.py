@@ -13,11 +13,11 @@ import typer
 from typer import TyperException
 
 from aemd import __version__
-from aemd.cli import bench, daemon, files, installation, models, offline  # their commands register themselves
+from aemd.cli import bench, daemon, files, installation, meters, models, offline  # their commands register themselves
 from aemd.cli.common import app
 from aemd.errors import AemdError, UsageError
 
-__all__ = ["app", "bench", "daemon", "files", "installation", "main", "models", "offline"]
+__all__ = ["app", "bench", "daemon", "files", "installation", "main", "meters", "models", "offline"]
 
 
 def _version(wanted: bool) -> None:

@@ -1,0 +1,54 @@
+"""The open questions, asked of the simulated meter, whose answers are its own constants."""
+
+import re
+
+import pytest
+
+from agilent34410 import Options, characterise
+from sim34410 import Meter, MeterProperties
+from sim34410.bench import Bench, Link
+from sim34410.clock import SteppedClock
+from sim34410.schedule import GRID_NS, REARM_NS
+from sim34410.simulated_link import SimulatedLink
+from tests.storm.weather import Slope
+
+
+def answers(link: Link) -> dict[str, str]:
+    clock = SteppedClock()
+    bench = Bench(Meter(Slope(), clock, MeterProperties(noise=False)), clock)
+    found = characterise("SIM", Options(), clock, clock.sleep, lambda: SimulatedLink(bench, clock, link=link))
+    return {one.question: one.answer for one in found}
+
+
+@pytest.fixture(scope="module")
+def by_socket() -> dict[str, str]:
+    return answers("socket")
+
+
+def test_the_step_of_the_timer_is_found(by_socket: dict[str, str]) -> None:
+    assert by_socket["step of the sample timer"].startswith(f"steps of {GRID_NS * 1e-3:.3f} us")
+
+
+def test_the_spacing_at_the_end_of_a_triggers_readings_is_bounded_from_both_sides(by_socket: dict[str, str]) -> None:
+    said = by_socket["from the last reading of a trigger to the first of the next"]
+    least_ms, largest_ms = map(float, re.findall(r"[+-][0-9.]+", said))
+    # The next trigger comes REARM after the last reading is there: 0.006 PLC at 50 Hz after it began.
+    true_ms = (0.006 / 50 * 1e9 + REARM_NS) * 1e-6 - 2.0
+
+    assert least_ms <= true_ms <= largest_ms
+    assert largest_ms - least_ms < 0.5
+
+
+@pytest.mark.parametrize(("link", "state"), [("socket", "still sampling"), ("vxi11", "sampling no more")])
+def test_what_a_lost_link_clears_is_found_out(link: Link, state: str, by_socket: dict[str, str]) -> None:
+    found = by_socket if link == "socket" else answers(link)
+
+    assert found["what a lost link clears"].endswith(state)
+
+
+def test_no_question_stays_without_an_answer(by_socket: dict[str, str]) -> None:
+    assert len(by_socket) == 9
+    assert not [answer for answer in by_socket.values() if answer.startswith("no answer")]
+    assert by_socket["R? on an empty memory"].startswith("a block of 0 bytes")
+    before, after = map(int, re.findall(r"\d+", by_socket["whether ABOR keeps the memory"]))
+    assert after >= before > 0
