@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from aemd.block import Batch
+from aemd.errors import RecordingError
 from aemd.record.check import check
 from aemd.record.reader import Recording
 from aemd.record.recovery import recover
@@ -112,6 +113,21 @@ def test_a_full_disk_is_survived_counted_and_recording_goes_on_by_itself(
     assert "disk-full" in reasons
     assert reasons[-1] == "stop"
     assert sum(_lost(path) for path in paths) == found["not_written"]
+
+
+def test_a_disk_that_is_full_to_the_last_byte_still_has_the_room_for_the_end(small_disk: Path) -> None:
+    recorder = Recorder(small_disk / "r.mcap", DESCRIPTION, chunk_bytes=4000, compression="none", keep_room=True)
+    _fill(small_disk / "filler")
+    readings = readings_of(50_000)
+    estimates = estimates_of(readings)
+
+    with pytest.raises(RecordingError, match="no space left on device"):
+        recorder.write(Batch(readings), estimates)
+    path = recorder.close("disk-full")
+
+    assert path == small_disk / "r.mcap"
+    assert check(path).whole
+    assert 1000 < check(path).readings == recorder.written.readings < recorder.counts.readings
 
 
 def _fill(path: Path) -> None:
