@@ -1,0 +1,64 @@
+"""The driver through pyvisa-py on every front end of the simulated meter, in real time: stream, lose, come back."""
+
+import time
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+import agilent34410
+from aemd.acquire.acquisition import Acquisition
+from aemd.block import READING
+from aemd.errors import InstrumentError
+from agilent34410.link import open_link
+from sim34410 import Fault
+from tests.drivers.sim34410.links import counting_bench, served
+
+LINKS = ["socket", "vxi11", "usb", "serial"]
+OPTIONS = agilent34410.Options(nplc=0.2, autozero="off", interval_s=0.01, timeout_s=0.5, baud_rate=115200)
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_a_stream_over_this_link_is_the_meters_and_a_cable_that_was_out_for_a_second_loses_nothing(link: str) -> None:
+    bench = counting_bench(time.monotonic_ns, [Fault("unplug", at_s=1.5, lasts_s=1.0)])
+    with (
+        served(bench) as resources,
+        closing(agilent34410.open_instrument(resources[link], OPTIONS, time.monotonic_ns)) as instrument,
+        Acquisition(instrument, most_readings=400) as acquisition,
+    ):
+        batches = list(acquisition.batches())
+        truth = bench.truth[:400]
+    readings = np.concatenate([np.empty(0, READING), *(batch.readings for batch in batches)])
+    said = [event.message for batch in batches for event in batch.events if event.kind == "link"]
+
+    assert readings["index"].tolist() == list(range(400))
+    assert np.array_equal(readings["value_V"], truth["value_V"])
+    assert acquisition.counts.lost == 0
+    assert acquisition.outages >= 1, said
+    assert any("back after" in message for message in said)
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_after_a_timeout_the_link_is_cleared_and_answers_the_next_question(link: str) -> None:
+    bench = counting_bench(time.monotonic_ns, [Fault("lost", at_s=0.0)])
+    with served(bench) as resources:
+        line = open_link(resources[link], 0.5, OPTIONS.serial_line)
+        with pytest.raises(InstrumentError):
+            line.query("*IDN?")
+        line.clear()
+
+        assert "34410A" in line.query("*IDN?")
+        line.close()
+
+
+@pytest.mark.timeout(30)
+def test_closing_a_vxi_11_link_to_a_dead_peer_does_not_block() -> None:
+    with served(counting_bench(time.monotonic_ns)) as resources:
+        line = open_link(resources["vxi11"], 0.5)
+        line.query("*IDN?")
+    begun_s = time.monotonic()
+    with pytest.raises(InstrumentError):
+        line.query("*IDN?")
+    line.close()
+
+    assert time.monotonic() - begun_s < 4.0  # its own timeout and a second more; 5 s on top without the guard
