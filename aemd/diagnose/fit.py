@@ -31,6 +31,7 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 _WORTH_A_RESTART = 1e-2  # nats
+_SUSPECT = 1.5  # deviations of the kurtosis from which shocks are tried; frequent ones are nearly normal
 _SHOCK_GAIN = 6.0  # nats that three more numbers must bring; half of chi-square(3) at 0.7 %
 _FEW_SHOCKS = 8.0  # expected in a record, below which they may be something else
 _SHORT = 5_000  # readings below which likelihoods have several tops, and more starts are tried
@@ -163,7 +164,7 @@ def _with_shocks(fit: Fit) -> Fit | None:
     width = 1.4826 * float(np.median(np.abs(z)))
     out = np.abs(z) > -ndtri(0.005 / z.size) * width  # one clean record in a hundred has one
     kurtosis = float(np.mean((z / z.std()) ** 4)) - 3
-    if not out.any() and kurtosis < 4 * sqrt(24 / z.size):
+    if not out.any() and kurtosis < _SUSPECT * sqrt(24 / z.size):
         return None
     # Shocks widened the noise of the fit without them; the core of its residuals tells by how much.
     theta = fit.theta.copy()
