@@ -49,6 +49,7 @@ _FOLLOWED = (
     model.Nonlinearity,
     model.ReadingPattern,
     model.SupplyCoupling,
+    model.WanderingLine,
     *_DEFECTS,
 )
 
@@ -63,6 +64,12 @@ def accept(stated: model.Model, place: str) -> tuple["Given", frozenset[str]]:
         if not isinstance(part, _FOLLOWED):
             name = getattr(part, "term", None) or getattr(part, "effect", "")
             raise ConfigError(f"{place}: {name}: cannot be criticised yet; take it out, and it is looked for instead")
+    for term in stated.terms:
+        if isinstance(term, model.WanderingLine) and term.wander_hz_per_rt_s > 0:
+            raise ConfigError(f"{place}: wandering_line: wander_hz_per_rt_s cannot be criticised yet; set it to 0")
+        if isinstance(term, model.Shocks) and term.second_fraction + term.ring_fraction + term.after_shocks > 0:
+            keys = "second_fraction, ring_fraction and after_shocks"
+            raise ConfigError(f"{place}: shocks: {keys} cannot be criticised yet; set them to 0")
     if sum(isinstance(term, model.Shocks) for term in stated.terms) > 1:
         raise ConfigError(f"{place}: shocks: more than one kind cannot be criticised; join them")
     return Given(stated), frozenset(_DEFECTS[type(effect)] for effect in stated.effects if type(effect) in _DEFECTS)
@@ -97,7 +104,7 @@ class Given:
         rng = np.random.default_rng(0)  # what is deterministic draws nothing
         mean_V = np.zeros(data.y.size)
         for term in self.stated.terms:
-            if isinstance(term, _MEANS):
+            if isinstance(term, (*_MEANS, model.WanderingLine)):
                 mean_V += term.realise(rng).average(start_s, self.aperture_s)
             else:
                 self._process(term, data, parts, start_s)
@@ -119,6 +126,7 @@ class Given:
                 parts.noise_var += there * (term.sd(self.aperture_s) / unit) ** 2
             case model.Shocks(rate_per_s=rate, sd_V=sd, decay_s=decay):
                 parts.shocks = np.array([rate, (sd / unit) ** 2, float(len(parts.states))])
+                parts.extras[5] = float(np.clip(2 * term.positive_fraction - 1, -0.9999, 0.9999))
                 parts.states.append((MARKOV, max(decay, 1e-3 * data.interval_s), 0.0, 0.0, 0.0, 1.0))
             case model.Resonance(frequency_hz=frequency, quality=quality, sd_V=sd):
                 tau = quality / (np.pi * frequency)

@@ -10,9 +10,11 @@ from scipy.stats import binom, binomtest, chi2
 from aemd.diagnose.checks.spectrum import regress
 from aemd.diagnose.evidence import Evidence, bonferroni
 from aemd.diagnose.fit import Fit
+from aemd.diagnose.given import Given
 from aemd.diagnose.kernels import MARKOV
 from aemd.diagnose.terms.events import RingDown, ShockLaw, rung
 from aemd.diagnose.terms.lines import amplitude_cost
+from aemd.model import Shocks
 
 __all__ = ["Marks", "check_ring_down", "check_shock_law", "marks_of"]
 
@@ -58,8 +60,7 @@ def check_shock_law(fit: Fit) -> list[Evidence]:
     if marks is None or marks.at.size < _LEAST:
         return []
     count, positive = marks.at.size, int(np.count_nonzero(marks.size > 0))
-    known = sum(float(fit.parts_of(at)[0]) for at, term in enumerate(fit.terms) if isinstance(term, ShockLaw))
-    even = 0.5 + known / 2
+    even = _positive_part(fit)
     p_value = float(binomtest(positive, count, even).pvalue)
     bias = float(np.clip(2 * positive / count - 1, -0.95, 0.95))
     signs = Evidence(
@@ -90,6 +91,17 @@ def check_shock_law(fit: Fit) -> list[Evidence]:
             high=float(binom.ppf(0.975, gaps.size, share)),
         ),
     ]
+
+
+def _positive_part(fit: Fit) -> float:
+    """Return the part of the shocks that the model has positive."""
+    part = 0.5
+    for number, term in enumerate(fit.terms):
+        if isinstance(term, ShockLaw):
+            part += float(fit.parts_of(number)[0]) / 2
+        elif isinstance(term, Given):
+            part = next((shocks.positive_fraction for shocks in term.stated.terms if isinstance(shocks, Shocks)), part)
+    return float(np.clip(part, 1e-6, 1 - 1e-6))
 
 
 def check_ring_down(fit: Fit) -> list[Evidence]:

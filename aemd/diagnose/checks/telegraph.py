@@ -1,4 +1,4 @@
-"""A level that jumps to and fro: its likelihood against that of the base, which imitates it with shocks or drift."""
+"""A level that jumps between two: its likelihood against that of the base, which imitates it with shocks or drift."""
 
 from dataclasses import replace
 from math import log
@@ -67,7 +67,7 @@ def check_popcorn(fit: Fit) -> Evidence:
 def _evidence(gained: float, terms: tuple[Popcorn, ...]) -> Evidence:
     p_value = float(chi2.sf(2 * max(gained, 0.0), _FREEDOM))
     return Evidence(
-        check="a level that jumps to and fro: log-likelihood over the base's, nats",
+        check="a level that jumps between two: log-likelihood over the base's, nats",
         p_value=p_value,
         observed=gained,
         low=-1e3,

@@ -1,4 +1,4 @@
-"""Effects that come and go: pulses at even times, a level that jumps to and fro, and what follows a shock."""
+"""Effects that come and go: pulses at even times, a level that jumps between two levels, and what follows a shock."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
