@@ -2,7 +2,7 @@
 
 import sys
 
-from tests.benchmarks import estimators, files, live, offline, stream
+from tests.benchmarks import archive, estimators, files, live, offline, stream
 
 BENCHMARKS = {
     "stream": stream.main,
@@ -10,6 +10,7 @@ BENCHMARKS = {
     "files": files.main,
     "offline": offline.main,
     "live": live.main,
+    "archive": archive.main,
 }
 
 for name in sys.argv[1:] or BENCHMARKS:
