@@ -1,13 +1,28 @@
 """Commands on models: tune, paper, diagnose, simulate."""
 
 import math
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
 
-from aemd.cli.common import Jobs, Json, Scheduler, app, report_failures, show, stderr
+from aemd.cli.common import (
+    Field,
+    Jobs,
+    Json,
+    Scheduler,
+    TimeOf,
+    Topic,
+    app,
+    report_failures,
+    select,
+    show,
+    stderr,
+)
 from aemd.errors import UsageError
 
 Slow = Literal["disturbance", "input"]
@@ -91,6 +106,9 @@ def diagnose(
         Path | None, typer.Option(metavar="FILE.html", help="Write the report as one page with pictures.")
     ] = None,
     line_frequency: Annotated[float | None, typer.Option(min=0.0, help="Of the mains, Hz, where it is known.")] = None,
+    topic: Topic = None,
+    field: Field = None,
+    time: TimeOf = None,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     json: Json = False,
@@ -109,15 +127,23 @@ def diagnose(
         )
         _show_table(many, "aemd diagnose", html, json=json)
         return
-    with stderr().status("reading") as status:
-        found = criticise(Path(file), model=model, line_frequency_hz=line_frequency, progress=status.update)
-    print(as_json(found) if json else format_diagnosis(found), end="\n" if json else "")
-    if out is not None:
-        write_extended(found, out)
-        stderr().print(f"model={out}", highlight=False, markup=False)
-    if html is not None:
-        write_html(found, html)
-        stderr().print(f"report={html}", highlight=False, markup=False)
+    with ExitStack() as stack:
+        source = Path(file)
+        if selection := select(topic, field, time):
+            from aemd.tables import import_mcap
+
+            source = Path(stack.enter_context(TemporaryDirectory())) / source.name
+            import_mcap(Path(file), source, selection=selection)
+        with stderr().status("reading") as status:
+            found = criticise(source, model=model, line_frequency_hz=line_frequency, progress=status.update)
+        told = replace(found, path=file)
+        print(as_json(told) if json else format_diagnosis(told), end="\n" if json else "")
+        if out is not None:
+            write_extended(told, out)
+            stderr().print(f"model={out}", highlight=False, markup=False)
+        if html is not None:
+            write_html(found, html)
+            stderr().print(f"report={html}", highlight=False, markup=False)
 
 
 @app.command()
