@@ -17,7 +17,7 @@ from aemd.block import READING, Batch, Block, Estimates, Event
 from aemd.config import name_estimator
 from aemd.estimate.registry import make_estimator
 from aemd.model import Truth
-from aemd.pipeline import Tally, run
+from aemd.pipeline import Sink, Tally, run
 from aemd.record.description import Description
 from aemd.record.writer import Recorder
 from agilent34410 import Options
@@ -89,6 +89,7 @@ def pass_through(
     utc_steps: Sequence[tuple[float, float]] = (),
     give_up_s: float | None = None,
     keep: bool = True,
+    watchers: Sequence[Sink] = (),
     **properties: float,
 ) -> Passed:
     """Acquire for so many simulated seconds, then stop.
@@ -104,6 +105,7 @@ def pass_through(
         utc_steps: (at_s, by_s): when the host's wall clock is set, and by how much.
         give_up_s: as in the config.
         keep: keep readings and truth, which a soak does not.
+        watchers: further sinks.
         properties: of the meter, such as clock_error_ppm.
     """
     options = options or Options()
@@ -138,7 +140,7 @@ def pass_through(
             yield Batch(delivery.block, delivery.events, received_ns=delivery.received_ns)
 
     kept, tally = _Keep(), Tally()
-    sinks = [tally, *([kept] if keep else [])]
+    sinks: list[Sink] = [tally, *watchers, *([kept] if keep else [])]
     recorder = None
     if recording is not None:
         recorder = Recorder(recording, Description(interval_s=instrument.interval_s), durability="crash")
