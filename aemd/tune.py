@@ -41,6 +41,7 @@ def tune_recording(
     noise_V: float | None = None,
     slowest_signal_s: float | None = None,
     slow: Literal["disturbance", "input"] = "disturbance",
+    resonances: int = 0,
 ) -> TuneSummary:
     """Find the options of greatest likelihood in a stretch of a recording, and write them as a model file.
 
@@ -53,6 +54,7 @@ def tune_recording(
         noise_V: standard deviation of the white noise where it is known, V.
         slowest_signal_s: longest period of the input, s; what is slower is drift. None: 150 readings.
         slow: whether the slow part is the sensor's own drift, or part of the input.
+        resonances: most of them that an input which vibrates may have; 0: none are sought.
 
     Raises:
         RecordingError: the recording cannot be read, or the model file exists or cannot be written.
@@ -65,7 +67,14 @@ def tune_recording(
     since_s = (readings["t_ns"] - readings["t_ns"][:1]) * 1e-9
     stretch = readings[(since_s >= from_s) & (since_s < to_s)]
     try:
-        found = tune([stretch], interval_s, noise_V=noise_V, slow=slow, slowest_signal_s=slowest_signal_s)
+        found = tune(
+            [stretch],
+            interval_s,
+            noise_V=noise_V,
+            slow=slow,
+            slowest_signal_s=slowest_signal_s,
+            resonances=resonances,
+        )
     except ConfigError as error:
         raise UsageError(f"{path}: {error}; choose another stretch by --from and --to") from error
     choice = EstimatorChoice("imm", replace(found.options, lag=lag))

@@ -47,6 +47,9 @@ def tune(
     slow: Annotated[
         Slow, typer.Option(help="What the slow part is: the sensor's drift, or the input's.")
     ] = "disturbance",
+    resonances: Annotated[
+        int, typer.Option(min=0, max=32, help="Most resonances of an input that vibrates, 0 for none; 20 take minutes.")
+    ] = 0,
     html: Annotated[Path | None, typer.Option(metavar="FILE.html", help="Of many: write the table as a page.")] = None,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
@@ -56,14 +59,19 @@ def tune(
     from aemd.archive import is_pattern, tune_archive
     from aemd.tune import tune_recording
 
-    options = {"from_s": from_s, "to_s": to_s, "lag": lag, "noise_V": noise_v, "slowest_signal_s": slowest_s}
+    options: dict[str, Any] = {
+        "from_s": from_s,
+        "to_s": to_s,
+        "lag": lag,
+        "noise_V": noise_v,
+        "slowest_signal_s": slowest_s,
+        "resonances": resonances,
+    }
     if is_pattern(file):
         many = tune_archive(file, out, jobs=jobs, scheduler=scheduler, console=stderr(), slow=slow, **options)
         _show_table(many, "aemd tune", html, json=json)
         return
-    result = tune_recording(
-        Path(file), out, from_s=from_s, to_s=to_s, lag=lag, noise_V=noise_v, slowest_signal_s=slowest_s, slow=slow
-    )
+    result = tune_recording(Path(file), out, slow=slow, **options)
     show(result, "Tuned", json=json)
 
 

@@ -30,13 +30,14 @@ from aemd.estimate.tune import tune
 
 RIVALS = ("KF", "LMS", "REM", "AEM")
 SLOW_LOGS = ("adc24_7hz_reference", "dmm6d_lm399_3hz", "dmm6d_calibrator_warmup")
+FOLDER = Path(os.environ.get("AEMD_MEASURED") or Path(__file__).parents[3] / "shared" / "measured")
 SHAKER = "shaker_vibration_shock"
 TRIALS = 7
 NAMES = (*SLOW_LOGS, *(f"shaker-{trial}" for trial in range(TRIALS)))
 SKIPPED = 100
 """Readings of the unseen half that are not judged."""
-MOST_PARTS = 10
-"""Of a vibration: drive, mains, and what the board makes of both."""
+RESONANCES = 20
+"""At most; whether a log has any is for the tuning to find."""
 NAME_OF = {"KF": "kalman", "LMS": "lms", "REM": "rem", "AEM": "aem"}
 
 
@@ -105,24 +106,21 @@ def scores_of(folder: Path, name: str) -> Iterator[tuple[str, dict[str, float], 
     readings, interval_s = readings_of(folder, name)
     half = readings.size // 2
     parts = readings[:half], readings[half:]
-    shaken = name.startswith("shaker")
     for direction, known, unseen in (("first -> second", *parts), ("second -> first", *parts[::-1])):
         middle = float(np.median(known))
         found: dict[str, Any] = {method: tuned_rival(method, known - middle, interval_s) for method in RIVALS}
-        tuning = tune([block_of(known, interval_s)], interval_s, slow="input", most_parts=MOST_PARTS if shaken else 1)
+        tuning = tune([block_of(known, interval_s)], interval_s, slow="input", resonances=RESONANCES)
         scores = {method: score(NAME_OF[method], found[method], unseen - middle, interval_s) for method in RIVALS}
         scores["imm"] = score("imm", tuning.options, unseen, interval_s)
         yield direction, scores, found | {"imm": (str(tuning.kind), tuning.options)}
 
 
 def main(names: list[str]) -> None:
-    stated = os.environ.get("AEMD_MEASURED")
-    folder = Path(stated) if stated else Path(__file__).parents[3] / "shared" / "measured"
     print(
         f"{'log':26}{'tuned -> judged':18}" + "".join(f"{method:>9}" for method in (*RIVALS, "imm")) + "  imm leads by"
     )
     for name in names or NAMES:
-        for direction, scores, found in scores_of(folder, name):
+        for direction, scores, found in scores_of(FOLDER, name):
             lead = scores["imm"] - max(scores[method] for method in RIVALS)
             cells = "".join(f"{value:9.3f}" for value in scores.values())
             print(f"{name:26}{direction:18}{cells}{lead:+9.3f}", flush=True)

@@ -126,9 +126,9 @@ def test_without_disturbances_the_lag_is_filterpys_smoother() -> None:
 
 
 @pytest.mark.parametrize("lag", [0, 9])
-@given(cuts=st.lists(st.integers(0, 380), max_size=6), seed=st.integers(0, 3))
-def test_cutting_the_stream_changes_no_bit(lag: int, cuts: list[int], seed: int) -> None:
-    options = replace(TWO_PARTS, lag=lag)
+@given(cuts=st.lists(st.integers(0, 380), max_size=6), seed=st.integers(0, 3), driven=st.booleans())
+def test_cutting_the_stream_changes_no_bit(lag: int, cuts: list[int], seed: int, driven: bool) -> None:
+    options = replace(TWO_PARTS, lag=lag, **(DRIVEN if driven else {}))
     block = with_holes(drawn(ABOUT_ZERO, seed=seed)[0], seed=seed)
     imm = Imm(options, T)
 

@@ -64,16 +64,6 @@ def test_a_sine_is_found_as_a_swing_of_its_frequency() -> None:
     assert found.options.noise_V == pytest.approx(1e-4, rel=0.1)
 
 
-def test_a_second_swing_is_added_where_it_pays() -> None:
-    rng, n = np.random.default_rng(3), 2000
-    time = T * np.arange(n)
-    readings = np.sin(2 * np.pi * 0.5 * time) + 0.5 * np.sin(2 * np.pi * 1.7 * time) + rng.normal(0, 0.05, n)
-
-    found = tune([make_block(readings)], T, origin_V=0.0, most_parts=2)
-
-    assert sorted(found.options.signal_hz) == pytest.approx([0.5, 1.7], abs=1e-3)
-
-
 def test_what_only_drifts_is_no_input() -> None:
     rng, n = np.random.default_rng(4), 1500
     readings = markov(rng, 1e-3, 60.0, n) + rng.normal(0, 1e-4, n)
