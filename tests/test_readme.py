@@ -7,12 +7,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from aemd.cli import app
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
 
 
+@pytest.mark.timeout(400)  # a couple of dozen programs, one after the other
 def test_every_command_in_the_readme_runs_in_its_order(tmp_path: Path) -> None:
     for name in ("config", "replay_data"):
         shutil.copytree(ROOT / name, tmp_path / name)
