@@ -139,7 +139,7 @@ def test_a_dead_link_ends_the_stream_with_its_error_after_all_that_was_acquired(
 def test_readings_lost_in_the_meter_are_a_gap_in_the_stream() -> None:
     with opened() as (instrument, meter), Acquisition(instrument, ring_readings=1024, poll_s=0.05) as acquisition:
         batches = acquisition.batches()
-        readings = [next(batches)]
+        readings = [next(batches) for _ in range(20)]  # until the clock is known
         time.sleep(5.5)  # longer than the ring and the meter's memory hold
         readings += [next(batches) for _ in range(20)]
         acquisition.stop()
