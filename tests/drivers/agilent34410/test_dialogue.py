@@ -1,0 +1,105 @@
+"""Numbered answers and the journal, on the simulated meter behind a line that plays tricks."""
+
+import pytest
+
+from aemd.errors import InstrumentError
+from agilent34410.dialogue import Dialogue
+from sim34410 import Fault, Meter, MeterProperties
+from sim34410.bench import Bench
+from sim34410.clock import SteppedClock
+from sim34410.simulated_link import SimulatedLink
+from tests.storm.weather import Slope
+
+
+class Tricky(SimulatedLink):
+    """A line that, told to, answers with what it answered before."""
+
+    repeats = False
+    before = ""
+
+    def query(self, command: str) -> str:
+        answer = super().query(command)
+        said = self.before if self.repeats else answer
+        Tricky.before = answer
+        return said
+
+
+@pytest.fixture
+def clock() -> SteppedClock:
+    return SteppedClock()
+
+
+@pytest.fixture
+def bench(clock: SteppedClock) -> Bench:
+    return Bench(Meter(Slope(), clock, MeterProperties(noise=False)), clock)
+
+
+@pytest.fixture
+def dialogue(bench: Bench, clock: SteppedClock) -> Dialogue:
+    Tricky.repeats = False
+    link = Tricky(bench, clock)
+    dialogue = Dialogue(lambda: Tricky(bench, clock), link, link.query("*IDN?"))
+    dialogue.begin_journal()
+    for command in ("FORM:DATA REAL,64", "TRIG:COUN INF", "SAMP:SOUR TIM", "SAMP:TIM 0.5", "SAMP:COUN MAX", "INIT"):
+        dialogue.command(command)
+    return dialogue
+
+
+def test_an_answer_of_the_same_shape_to_an_earlier_question_is_refused(dialogue: Dialogue) -> None:
+    dialogue.look()
+    Tricky.repeats = True
+
+    with pytest.raises(InstrumentError, match="is not to this question"):
+        dialogue.look()
+
+
+def test_after_a_failure_nothing_is_asked_until_it_is_restored(dialogue: Dialogue) -> None:
+    Tricky.repeats = True
+    with pytest.raises(InstrumentError):
+        dialogue.look()
+    Tricky.repeats = False
+    with pytest.raises(InstrumentError, match="restore it"):
+        dialogue.look()
+
+    assert dialogue.restore() == "drained"
+    assert dialogue.look().waiting >= 0
+
+
+@pytest.mark.parametrize(("kind", "torn"), [("lost", 3), ("silent", 0)])
+def test_the_journal_tells_whether_a_block_that_never_came_has_left_the_memory(
+    kind: str, torn: int, dialogue: Dialogue, bench: Bench, clock: SteppedClock
+) -> None:
+    clock.sleep(5.0)
+    before = dialogue.look().waiting
+    bench.add([Fault(kind, (clock() - bench._on_ns) * 1e-9)])  # type: ignore[arg-type]
+    with pytest.raises(InstrumentError):
+        dialogue.take(3)
+    dialogue.restore()
+
+    assert dialogue.take_torn() == torn
+    assert dialogue.take_torn() == 0
+    assert dialogue.look().waiting >= before - torn
+
+
+def test_a_meter_that_was_switched_off_meanwhile_has_no_journal(
+    dialogue: Dialogue, bench: Bench, clock: SteppedClock
+) -> None:
+    bench.add([Fault("power", (clock() - bench._on_ns) * 1e-9, lasts_s=1.0)])
+    for _ in range(10):
+        clock.sleep(1.0)
+        try:
+            dialogue.restore()
+            break
+        except InstrumentError:
+            continue
+
+    assert dialogue.is_restarted
+
+
+def test_another_meter_at_the_same_address_is_refused_by_name(dialogue: Dialogue, clock: SteppedClock) -> None:
+    other = Bench(Meter(Slope(), clock, MeterProperties(identity="Agilent Technologies,34410A,OTHER,1")), clock)
+    dialogue._open_link = lambda: Tricky(other, clock)
+    dialogue._link.close()
+
+    with pytest.raises(InstrumentError, match=r"this is 'Agilent Technologies,34410A,OTHER,1' now, not"):
+        dialogue.restore()
