@@ -13,6 +13,7 @@ from scipy.stats import gamma, norm
 
 from aemd.diagnose.evidence import Evidence, bonferroni, weighted_chi2_tail
 from aemd.diagnose.fit import Fit
+from aemd.diagnose.hypothesis import Base
 from aemd.diagnose.kernels import MARKOV, PAIR
 from aemd.diagnose.terms.lines import amplitude_cost
 from aemd.diagnose.terms.noise import (
@@ -56,7 +57,8 @@ class _Score:
         scale = np.sqrt(np.sum(taken**2, axis=0))
         kept = taken[:, scale > 0] / scale[scale > 0]
         left, singular, _ = np.linalg.svd(kept, full_matrices=False)
-        self.taken = left[:, singular > 1e-4 * singular[0]]
+        fitted = isinstance(fit.terms[0], Base)  # of a stated model nothing has been fitted away
+        self.taken = left[:, singular > (1e-4 if fitted else np.inf) * singular[0]]
 
     def markov(self, tau_s: float) -> Floats:
         """Return the spectrum, per reading, of a first-order process of unit rate."""
