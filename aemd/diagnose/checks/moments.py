@@ -14,6 +14,7 @@ from aemd.diagnose.hypothesis import Term
 from aemd.diagnose.terms.lines import amplitude_cost
 from aemd.diagnose.terms.noise import ChangingNoise, HeavyTails, Louder, SignalDependentNoise
 from aemd.diagnose.terms.shapes import Nonlinearity
+from aemd.diagnose.terms.witnessed import SupplyCoupling
 
 __all__ = ["check_moments"]
 
@@ -46,8 +47,19 @@ def check_moments(fit: Fit) -> list[Evidence]:
     outcomes = [test(fit) for test in tests]
     if min(evidence.p_value for evidence, _ in outcomes) > _WORTH_A_FIT:
         return [evidence for evidence, _ in outcomes]
-    terms = tuple(term for _, make in outcomes for term in make())
+    terms = (*(term for _, make in outcomes for term in make()), *_gains(fit))
     return [replace(item, terms=terms) if item.p_value <= _WORTH_A_FIT else item for item, _ in outcomes]
+
+
+def _gains(fit: Fit) -> list[Term]:
+    """Return a gain for each witness that the residuals' squares follow: what it scales is louder at times, too."""
+    used = fit.data.used
+    squares, made = fit.z[used] ** 2, list[Term]()
+    for name, values in sorted(fit.data.witnesses.items()):
+        apart = values[used] - values[used].mean()
+        slope = float(apart @ (squares - squares.mean())) / max(float(apart @ apart), 1e-300)
+        made.append(SupplyCoupling(name, slope / 2, amplitude_cost(1, fit.data.n)))
+    return made
 
 
 def _changing_noise(fit: Fit) -> Outcome:
