@@ -8,7 +8,6 @@ And the other way: rows packed into a chunk with its message indexes.
 """
 
 import struct
-import zlib
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 import zstandard
 from google.protobuf.message import DecodeError
+from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
 from mcap.records import Chunk, ChunkIndex
 from numpy.typing import NDArray
@@ -144,7 +144,7 @@ def encode_chunk(
         data=compressor.compress(octets) if compressor else octets,
         message_start_time=int(rows.log_time[0]),
         message_end_time=int(rows.log_time[-1]),
-        uncompressed_crc=zlib.crc32(octets),
+        uncompressed_crc=crc32(octets),
         uncompressed_size=len(octets),
     )
     chunk, indexes = encode(head), _index_records(rows)

@@ -5,13 +5,13 @@ written, reads as far as it goes. The summary at the end is not needed.
 """
 
 import mmap
-import zlib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self, TypeVar
 
+from isal.isal_zlib import crc32
 from mcap import records
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, DataEnd, Footer, McapRecord, Metadata, Schema
@@ -186,7 +186,7 @@ class Recording:
         """Return the CRC32 of a stretch of the file, read piece by piece."""
         crc = 0
         for at in range(begin, end, _CRC_PIECE_BYTES):
-            crc = zlib.crc32(self._map[at : min(at + _CRC_PIECE_BYTES, end)], crc)
+            crc = crc32(self._map[at : min(at + _CRC_PIECE_BYTES, end)], crc)
         return crc
 
     def _count(self) -> Statistics:

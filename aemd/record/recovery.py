@@ -8,13 +8,13 @@ file's end. Each step leaves a file from which a recovery that is itself interru
 
 import mmap
 import os
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import zstandard
+from isal.isal_zlib import crc32
 from mcap.records import DataEnd, Metadata
 
 from aemd.errors import RecordingError
@@ -182,7 +182,7 @@ def _write(fd: int, found: Survey, report: Recovery) -> None:
     octets = encode(close)
     found.summary.add(close, offset + len(tail), len(octets))
     tail += octets
-    crc = zlib.crc32(tail, _crc(fd, offset))
+    crc = crc32(tail, _crc(fd, offset))
     found.end += len(tail)
     octets = tail + _end(found, crc)
     written = 0
@@ -201,5 +201,5 @@ def _crc(fd: int, end: int) -> int:
     """Return the checksum of the file up to this byte."""
     crc = 0
     for at in range(0, end, _CRC_PIECE_BYTES):
-        crc = zlib.crc32(os.pread(fd, min(_CRC_PIECE_BYTES, end - at), at), crc)
+        crc = crc32(os.pread(fd, min(_CRC_PIECE_BYTES, end - at), at), crc)
     return crc

@@ -4,10 +4,10 @@ Schemas, Channels, Statistics, ChunkIndexes, AttachmentIndexes, MetadataIndexes,
 """
 
 import struct
-import zlib
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from isal.isal_zlib import crc32
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -95,7 +95,7 @@ class Summary:
         section = b"".join(groups.values()) + encode(*offsets)
         # The summary's CRC covers the footer, too, up to the CRC itself.
         footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, at)
-        return section + encode(Footer(start, at, zlib.crc32(section + footer))) + MCAP0_MAGIC
+        return section + encode(Footer(start, at, crc32(section + footer))) + MCAP0_MAGIC
 
 
 def encode(*records: McapRecord) -> bytes:

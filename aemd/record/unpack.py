@@ -1,11 +1,11 @@
 """The contents of a Chunk record: unpacked, and held against the size and the checksum that it states."""
 
 import struct
-import zlib
 from io import BytesIO
 
 import lz4.frame
 import zstandard
+from isal.isal_zlib import crc32
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.records import Chunk
@@ -27,7 +27,7 @@ def unpack(record: bytes) -> tuple[Chunk, bytes]:
     """
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(record)))
-    except (struct.error, UnicodeDecodeError, EndOfFile) as error:
+    except (struct.error, UnicodeDecodeError, EndOfFile, OverflowError) as error:  # the last: a length beyond 2^63
         raise BadChunkError("has a damaged header") from error
     if chunk.uncompressed_size > _MOST_BYTES:
         raise BadChunkError(f"claims to unpack to {chunk.uncompressed_size} bytes")
@@ -43,6 +43,6 @@ def unpack(record: bytes) -> tuple[Chunk, bytes]:
         raise BadChunkError("cannot be unpacked") from error
     if len(data) != chunk.uncompressed_size:
         raise BadChunkError(f"unpacks to {len(data)} bytes instead of {chunk.uncompressed_size}")
-    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+    if chunk.uncompressed_crc and crc32(data) != chunk.uncompressed_crc:
         raise BadChunkError("has a wrong CRC")
     return chunk, data
