@@ -276,10 +276,13 @@ class _Checker:
         told: dict[int, int] = {}
         for record in walk(self._octets, footer.summary_start):
             told[record.opcode] = told.get(record.opcode, 0) + 1
-            if record.opcode in {Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX}:
-                self._hold_place(record)
-            elif record.opcode == Opcode.STATISTICS:
-                self._hold_statistics(parse(records.Statistics, self._octets, record))
+            try:
+                if record.opcode in {Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX}:
+                    self._hold_place(record)
+                elif record.opcode == Opcode.STATISTICS:
+                    self._hold_statistics(parse(records.Statistics, self._octets, record))
+            except ValueError as error:
+                self._find(f"the summary is damaged: {error}")
         for opcode, indexed in ((Opcode.METADATA, Opcode.METADATA_INDEX), (Opcode.ATTACHMENT, Opcode.ATTACHMENT_INDEX)):
             if told.get(indexed, 0) != noted[opcode]:
                 name = opcode.name.lower()

@@ -18,13 +18,13 @@ import contextlib
 import errno
 import fcntl
 import os
-import zlib
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Literal, NoReturn
 
 import zstandard
+from isal.isal_zlib import crc32
 from mcap.records import Channel, DataEnd, Header, McapRecord, Schema
 from mcap.writer import MCAP0_MAGIC
 
@@ -178,6 +178,10 @@ class GrowingFile:
         try:
             take_name(self.active, self.path)
         except OSError as error:
+            if not self.active.exists():
+                raise RecordingError(
+                    f"{self.path}: is no more: somebody removed {self.active} while it was written"
+                ) from error
             raise RecordingError(
                 f"{self.path}: cannot take its name: {why(error)}; the recording is complete, in {self.active.name}: "
                 "give it another name"
@@ -189,7 +193,7 @@ class GrowingFile:
         """Remove the unfinished file; a finished one stays. Twice is fine."""
         if self._fd >= 0:
             self.release()
-            self.active.unlink()
+            self.active.unlink(missing_ok=True)
 
     def release(self) -> None:
         """Let go of the file as it is, and of its lock. Twice is fine."""
@@ -238,7 +242,7 @@ class GrowingFile:
             while written < len(octets):
                 written += os.pwrite(self._fd, memoryview(octets)[written:], self._good_bytes + written)
         self._good_bytes += len(octets)
-        self._crc = zlib.crc32(octets, self._crc)
+        self._crc = crc32(octets, self._crc)
 
     def _sync(self) -> None:
         with self._or_fail():

@@ -106,6 +106,7 @@ class Rollover:
         """Readings that a file was given, and could not be written into it; a list, since another thread adds to it."""
         self._missing_from: tuple[int, int] | None = None
         """Index and instant of the first of the missed."""
+        self._trouble = ""
         self._stopped: Recorder | None = None
         """The file that was left for want of room."""
         self._finisher: threading.Thread | None = None
@@ -131,6 +132,11 @@ class Rollover:
     def is_recording(self) -> bool:
         """Whether what comes now is written."""
         return self._recorder is not None
+
+    @property
+    def trouble(self) -> str:
+        """Why what comes now is not written; empty while it is. Any thread may ask."""
+        return self._trouble
 
     @property
     def not_written(self) -> int:
@@ -202,9 +208,11 @@ class Rollover:
             self._is_due = (t_ns + _AHEAD_NS) // self._rotate_ns > self._period
         if self._rotate_bytes and recorder.size_bytes >= self._rotate_bytes:
             self._is_due = True
-        if self._min_free_bytes and self._clock() >= self._look_ns:
+        if self._clock() >= self._look_ns:
             self._look_ns = self._clock() + round(_LOOK_S * 1e9)
-            if (left := self._left()) < self._min_free_bytes:
+            if not recorder.active.exists():  # the system would go on taking what no one will ever read
+                self._stop_recording(f"somebody has removed {recorder.active}")
+            elif (left := self._left()) < self._min_free_bytes:
                 self._stop_recording(f"{left / 1e6:.0f} MB left on the disk, fewer than min_free_bytes")
 
     def _cut_where_due(self, batch: Batch) -> None:
@@ -237,7 +245,7 @@ class Rollover:
 
     def _open(self, segment: Segment) -> None:
         recorder = self._open_file(segment)
-        self._segment, self._recorder = segment, recorder
+        self._segment, self._recorder, self._trouble = segment, recorder, ""
         self._path, self._active = recorder.path, recorder.active
         self._period, self._is_due = -1, False
 
@@ -253,6 +261,7 @@ class Rollover:
         if recorder is None:
             return
         self._is_due = False
+        self._trouble = why_it_stops
         self._retry_ns = self._clock() + round(_RETRY_S * 1e9)
         self._stopped = recorder
         self._tell(f"recording=stopped file={recorder.path} why={why_it_stops!r}")
@@ -331,7 +340,8 @@ class Rollover:
             break
         if error is not None:
             recorder.release()
-        self._left_over.append(recorder.counts.readings - recorder.written.readings)
+        is_there = error is None or recorder.active.exists()
+        self._left_over.append(recorder.counts.readings - (recorder.written.readings if is_there else 0))
         return error
 
     def _join(self) -> None:

@@ -68,7 +68,7 @@ def parse(kind: type[_AnyRecord], octets: mmap | bytes, record: Record) -> _AnyR
     """
     try:
         parsed = kind.read(ReadDataStream(BytesIO(octets[record.begin : record.end])))  # type: ignore[attr-defined] # every subclass has it
-    except (struct.error, UnicodeDecodeError, EndOfFile) as error:
+    except (struct.error, UnicodeDecodeError, EndOfFile, OverflowError) as error:
         raise ValueError(f"its {kind.__name__} at byte {record.at}") from error
     return cast("_AnyRecord", parsed)
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from aemd.block import Batch
+from aemd.errors import RecordingError
 from aemd.record.check import check
 from tests.record.made import estimates_of, readings_of, records_of
 
@@ -40,3 +41,17 @@ def test_a_reading_without_its_estimate_is_found(record: Callable[..., Path]) ->
     path = record([(Batch(readings), estimates_of(readings[:-3]))])
 
     assert check(path).findings == ("it has 20 readings and 17 estimates",)
+
+
+def test_no_byte_of_a_recording_can_be_wrong_without_a_finding(record: Callable[..., Path], tmp_path: Path) -> None:
+    """Also where a length gets too large for any memory, and in the summary, which is read record by record."""
+    readings = readings_of(20)
+    good = record([(Batch(readings), estimates_of(readings))]).read_bytes()
+    bad = tmp_path / "bad.mcap"
+    for at in range(len(good)):
+        if at % 3 == 0 or good[at : at + 8].endswith(bytes(4)):
+            bad.write_bytes(good[:at] + bytes([good[at] ^ 0xFF]) + good[at + 1 :])
+            try:
+                assert check(bad).findings, at
+            except RecordingError:
+                continue

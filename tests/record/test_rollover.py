@@ -266,3 +266,22 @@ def test_what_cannot_be_finished_stays_and_is_told_of(tmp_path: Path, monkeypatc
     assert (tmp_path / "001.mcap.active").exists()
     assert (tmp_path / "002.mcap").exists()
     assert any(line.startswith("recording=unfinished") and "001.mcap.active" in line for line in run.lines)
+
+
+def test_a_file_that_somebody_removes_is_noticed_and_another_one_begun(tmp_path: Path) -> None:
+    readings = readings_of(600)
+    run = Run(tmp_path)
+    for at in range(600):
+        run.now_ns = at * STEP_NS
+        if at == 100:
+            run.rollover.active.unlink()
+        run.push(readings[at : at + 1])
+        if run.rollover.trouble:
+            trouble = run.rollover.trouble
+    paths = run.close()
+
+    read, _ = _content(paths)
+    assert "somebody has removed" in trouble
+    assert not run.rollover.trouble
+    assert 0 < len(read) == 600 - run.rollover.not_written
+    assert read["index"].tolist() == list(range(600 - len(read), 600))
