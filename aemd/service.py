@@ -146,7 +146,10 @@ def watched(notifier: Notifier, pulse: Callable[[], Pulse], status: Callable[[],
     def attend() -> None:
         watchdog = Watchdog(pulse())
         while not over.wait(period_s):
-            notifier.status(status())
+            try:
+                notifier.status(status())
+            except Exception as error:  # noqa: BLE001 - what is said of the stages must not stand for how they fare
+                notifier.status(f"state unknown: {error}")
             if watchdog.is_alive(pulse()):
                 notifier.alive()
 

@@ -40,6 +40,8 @@ from aemd.service import Notifier, Pulse, stopping_on_signals, watched
 
 __all__ = ["AcquireSummary", "acquire", "opened", "simulated"]
 
+LAST_RECOVERY_S = 10.0
+
 
 @dataclass(frozen=True, slots=True)
 class AcquireSummary:
@@ -115,7 +117,11 @@ def acquire(
     stop = _Stop()
     notifier = Notifier()
     # Before anything is opened: an interrupt in mid-set-up would leave the meter remote, or get lost in a callback.
-    with stopping_on_signals(stop, is_service=notifier.is_service), opened(config) as instrument:
+    with (
+        stopping_on_signals(stop, is_service=notifier.is_service),
+        ExitStack() as behind,
+        opened(config) as instrument,
+    ):
         estimator = make_estimator(config.estimator.name, config.estimator.options, instrument.interval_s)
         estimator.push(np.empty(0, READING))  # compiles the kernel, which the first readings should not wait for
         if stop.is_asked:
@@ -127,14 +133,20 @@ def acquire(
         tally = Tally()
         rollover = _open_files(config, instrument, folder, console)
         recorder = Background(rollover, cutter=rollover, copy_state=lambda: copy_state(estimator))
-        sources = Sources(tally.counts, unwritten=lambda: recorder.in_flight, file=lambda: rollover.active)
+        sources = Sources(
+            tally.counts,
+            unwritten=lambda: recorder.in_flight,
+            file=lambda: rollover.active,
+            not_written=lambda: rollover.not_written,
+            not_recording=lambda: rollover.trouble,
+        )
         failure: InstrumentError | None = None
         acquisition = Acquisition(instrument, most_readings=most, give_up_s=config.acquisition.give_up_s)
         rollover.clock_facts = acquisition.clock_facts
         notifier.ready(f"acquiring {folder.absolute()}")
+        behind.enter_context(_recovering(folder, console, stop))  # left after this recording has been finished
         try:
             with (
-                _recovering(folder, console),
                 acquisition,
                 watched(notifier, lambda: _pulse(acquisition, recorder), lambda: _status(tally, rollover, folder)),
                 stop.passing_on_to(acquisition),
@@ -176,10 +188,14 @@ def _pulse(acquisition: Acquisition, recorder: Background) -> Pulse:
 
 
 def _status(tally: Tally, rollover: Rollover, folder: Path) -> str:
-    """Return what `systemctl status` shows."""
-    free_GB = shutil.disk_usage(folder).free * 1e-9
+    """Return what `systemctl status` shows; a folder that is gone is a trouble of the recording's, not of this."""
+    try:
+        disk = f"disk {shutil.disk_usage(folder).free * 1e-9:.0f} GB"
+    except OSError as error:
+        disk = f"disk: {(error.strerror or str(error)).lower()}"
     lost = f"lost {tally.counts.lost}  not written {rollover.not_written}"
-    return f"{tally.rate_hz:.2f}/s  {tally.counts.readings} readings  {lost}  disk {free_GB:.0f} GB"
+    stopped = f"NOT RECORDING: {rollover.trouble}  " if rollover.trouble else ""
+    return f"{stopped}{tally.rate_hz:.2f}/s  {tally.counts.readings} readings  {lost}  {disk}"
 
 
 @contextmanager
@@ -229,19 +245,24 @@ class _Stop:
 
 
 @contextmanager
-def _recovering(folder: Path, console: Console) -> Iterator[None]:
-    """Finish, meanwhile, what earlier acquisitions left unfinished in the folder; a line is shown about each."""
+def _recovering(folder: Path, console: Console, stop: "_Stop") -> Iterator[None]:
+    """Finish, meanwhile, what earlier acquisitions left unfinished in the folder; a line is shown about each.
+
+    Who is told to stop leaves the rest for the next time: a service that takes too long over it would be killed.
+    """
 
     def work() -> None:
         for line in recover_folder(folder):
             console.print(line, highlight=False, markup=False, soft_wrap=True)
+            if stop.is_asked:
+                return
 
     thread = threading.Thread(target=work, name="aemd-recover", daemon=True)
     thread.start()
     try:
         yield
     finally:
-        thread.join()
+        thread.join(LAST_RECOVERY_S if stop.is_asked else None)  # one that is cut short can be repeated
 
 
 def _open_files(config: Config, instrument: Instrument, folder: Path, console: Console) -> Rollover:

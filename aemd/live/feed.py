@@ -207,7 +207,10 @@ class Feed:
         now_ns = self._clock()
         if now_ns - self._ticked_ns > 10 * IDLE_TICK_S * 1e9:
             return f"live view: no tick for {(now_ns - self._ticked_ns) * 1e-9:.0f} s"
-        return self._health.complaint(now_ns)
+        if why := self._health.complaint(now_ns):
+            return why
+        why = self._sources.not_recording()
+        return f"recording: stopped, {self._sources.not_written()} readings not written: {why}" if why else ""
 
     def status(self) -> dict[str, Any]:
         """Return the state in plain values, for programs."""
@@ -223,6 +226,7 @@ class Feed:
             "readings": counts.readings,
             "rate_hz": self._health.rate_hz,
             "lost": counts.lost,
+            "not_written": self._sources.not_written(),
             "gaps": counts.gaps,
             "overloads": self._history.overloads,
             "unwritten": self._sources.unwritten(),

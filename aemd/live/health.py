@@ -27,6 +27,10 @@ class Sources:
     """Readings that came through the estimator and are not yet with the recorder."""
     file: Callable[[], Path | None]
     """The recording as it is now named."""
+    not_written: Callable[[], int] = lambda: 0
+    """Readings that will be in no file: the disk was full or failed."""
+    not_recording: Callable[[], str] = lambda: ""
+    """Why what comes now is not written; empty while it is."""
 
 
 @dataclass(frozen=True, slots=True)

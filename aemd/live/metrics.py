@@ -19,7 +19,8 @@ class _Metric(NamedTuple):
 
 METRICS = (
     _Metric("aemd_readings_total", "counter", "Readings that came through the estimator.", ("readings",)),
-    _Metric("aemd_lost_readings_total", "counter", "Readings that are missing in the recording.", ("lost",)),
+    _Metric("aemd_lost_readings_total", "counter", "Readings of the meter that never came.", ("lost",)),
+    _Metric("aemd_not_written_readings_total", "counter", "Readings that came and are in no file.", ("not_written",)),
     _Metric("aemd_gaps_total", "counter", "Places where readings are missing.", ("gaps",)),
     _Metric("aemd_overloads_total", "counter", "Readings beyond the meter's range.", ("overloads",)),
     _Metric("aemd_readings_per_second", "gauge", "Rate over the last ten seconds.", ("rate_hz",)),

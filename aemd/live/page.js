@@ -147,6 +147,7 @@ function showStatus() {
     ["readings", status.readings.toLocaleString("en")],
     ["rate", `${status.rate_hz.toFixed(status.rate_hz < 1000 ? 3 : 0)} /s`],
     ["lost", status.lost.toLocaleString("en"), status.lost > 0],
+    ...(status.not_written ? [["not written", status.not_written.toLocaleString("en"), true]] : []),
     ["gaps", status.gaps.toLocaleString("en"), status.gaps > 0],
     ["overloads", status.overloads.toLocaleString("en"), status.overloads > 0],
     ["disk free", bytes(status.disk_free_bytes), status.disk_free_bytes < 1e9],

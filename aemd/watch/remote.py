@@ -26,6 +26,7 @@ class StatusSummary:
     readings: int
     rate_hz: float
     lost: int
+    not_written: int
     gaps: int
     overloads: int
     file: str
@@ -112,6 +113,7 @@ def summarise(state: dict[str, Any]) -> StatusSummary:
         readings=state["readings"],
         rate_hz=state["rate_hz"],
         lost=state["lost"],
+        not_written=state["not_written"],
         gaps=state["gaps"],
         overloads=state["overloads"],
         file=state["file"] or "-",

@@ -187,6 +187,8 @@ def _draw(seen: _Seen, width: int, height: int) -> Group:
     tail = f"± {sigma}   u {say.difference(now['u_V'], 4)}   window {now['window']}"
     values.add_row(Text("estimate", "cyan"), Text(say.value(now["estimate_V"], 7), "bold cyan"), tail)
     lost = Text(f"{status['lost']} lost", "bold red" if status["lost"] else "")
+    if status["not_written"]:
+        lost.append(f"   {status['not_written']} not written", "bold red")
     health = Table.grid(padding=(0, 3))
     health.add_row(
         f"{status['readings']} readings", f"{status['rate_hz']:.2f} /s", lost, f"{status['overloads']} overloads",

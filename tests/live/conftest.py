@@ -23,9 +23,12 @@ class Bench:
         self.now_ns = 10**12
         self.inbox = Inbox()
         self.counts = Counts(0)
-        self.unwritten = 0
+        self.unwritten = self.not_written = 0
+        self.trouble = ""
         about = About("34410A MY1", "sim", "aem", INTERVAL_NS * 1e-9, resolution_V=1e-6)
-        sources = Sources(self.counts, lambda: self.unwritten, lambda: file)
+        sources = Sources(
+            self.counts, lambda: self.unwritten, lambda: file, lambda: self.not_written, lambda: self.trouble
+        )
         self.feed = Feed(self.inbox, about, sources, clock=lambda: self.now_ns, utc=lambda: T0_NS)
 
     def read(self, values: list[float], *, tick: bool = True) -> None:

@@ -155,6 +155,19 @@ def test_a_writer_that_stands_still_is_a_complaint_while_readings_come(bench: Be
     assert bench.feed.complaint() == ""
 
 
+def test_readings_that_come_and_are_in_no_file_are_a_complaint_until_recording_goes_on(bench: Bench) -> None:
+    bench.read([1.0])
+    bench.not_written, bench.trouble = 12, "no space left on device"
+    full = bench.feed.status()
+    bench.trouble = ""
+    after = bench.feed.status()
+
+    assert full["health"] == "recording: stopped, 12 readings not written: no space left on device"
+    assert "\naemd_not_written_readings_total 12.0\n" in as_metrics(full)
+    assert "\naemd_healthy 0.0\n" in as_metrics(full)
+    assert (after["health"], after["not_written"]) == ("ok", 12)
+
+
 def test_a_live_view_that_stopped_ticking_does_not_call_itself_well(bench: Bench) -> None:
     bench.read([1.0])
     bench.now_ns += 20 * 10**9

@@ -1,6 +1,7 @@
 """Notification: what systemd would hear, on a real datagram socket; and a watchdog that a wedged stage starves."""
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -192,3 +193,38 @@ def test_on_a_terminal_a_hangup_ends_it_as_ctrl_c_does(tmp_path: Path) -> None:
 
     assert code == 0
     assert len(list(tmp_path.glob("*.mcap"))) == 1
+
+
+def test_a_status_that_cannot_be_made_is_told_and_the_watchdog_lives(listener: Listener) -> None:
+    moves = count()
+    told = notifier(listener, WATCHDOG_USEC="200000")
+
+    def status() -> str:
+        raise FileNotFoundError("the folder is gone")
+
+    with watched(told, lambda: Pulse(next(moves), 0, 0, next(moves)), status):
+        assert listener.hear_until("STATUS")["STATUS"] == "state unknown: the folder is gone"
+        assert listener.hear_until("WATCHDOG")
+        assert listener.hear_until("WATCHDOG")
+
+
+def test_a_folder_that_is_removed_under_a_service_is_in_its_status_and_does_not_starve_it(
+    listener: Listener, tmp_path: Path
+) -> None:
+    process = start(listener, tmp_path / "rec", WATCHDOG_USEC="4000000")
+    try:
+        assert listener.hear()["READY"] == "1"
+        shutil.rmtree(tmp_path / "rec")
+        while "NOT RECORDING: somebody has removed" not in listener.hear_until("STATUS")["STATUS"]:
+            pass
+        assert listener.hear_until("WATCHDOG")
+        (tmp_path / "rec").mkdir()
+        while "NOT RECORDING" in listener.hear_until("STATUS")["STATUS"]:
+            pass
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=60)
+    finally:
+        process.kill()
+
+    assert process.returncode == 0
+    assert len(list((tmp_path / "rec").glob("*.mcap"))) == 1
