@@ -1,6 +1,7 @@
 """How `aemd status` and `aemd watch` find a running live view: a small file, there as long as the view is.
 
-It holds the address with its token, so only its owner may read it.
+It holds the address with its token: then only its owner may read it, or, of a service, the service's group. The address
+of a service's view without a token is everybody's on this machine, who could reach it anyway.
 """
 
 import json
@@ -35,12 +36,15 @@ def _folders(environment: Mapping[str, str]) -> list[Path]:
 def announced(url: str, instrument: str, environment: Mapping[str, str] = os.environ) -> Iterator[Path | None]:
     """Let others of this user find the live view while inside; where no file can be written, they must be told."""
     path = _folders(environment)[0] / f"{os.getpid()}.json"
+    mode = 0o600
+    if environment.get("RUNTIME_DIRECTORY"):
+        mode = 0o640 if "token=" in url else 0o644
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         if path.parent.stat().st_uid != os.getuid():
             raise PermissionError  # in a shared folder anyone can make one of this name, and would get the token
         path.unlink(missing_ok=True)
-        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
         with open(handle, "w", encoding="utf-8") as file:  # noqa: PTH123 - of a handle
             json.dump(asdict(Running(os.getpid(), url, instrument)), file)
     except OSError:

@@ -12,13 +12,15 @@ waits for the feed and then writes to its socket; one that does not read fills i
 """
 
 import errno
+import io
 import math
 import threading
+import time
 from collections.abc import Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
-from socket import AF_INET, AF_INET6, SO_SNDBUF, SOL_SOCKET
+from socket import AF_INET, AF_INET6, SO_SNDBUF, SOL_SOCKET, socket
 from socketserver import TCPServer
 from types import MappingProxyType
 from typing import Any
@@ -144,6 +146,27 @@ class _Http(ThreadingHTTPServer):
         """Say nothing: a connection that breaks is its owner's business, and a log that strangers can fill is none."""
 
 
+class _Arriving(io.RawIOBase):
+    """A request as it comes: all of it within the patience, or whoever sends a letter now and then keeps a thread."""
+
+    def __init__(self, connection: socket) -> None:
+        self._connection = connection
+        self._until_s = time.monotonic() + PATIENCE_S
+
+    def readable(self) -> bool:
+        """Return True."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Take what has come.
+
+        Raises:
+            TimeoutError: it is too late.
+        """
+        self._connection.settimeout(max(self._until_s - time.monotonic(), 1e-3))
+        return self._connection.recv_into(buffer)
+
+
 class _Handler(BaseHTTPRequestHandler):
     """One connection, one request."""
 
@@ -168,10 +191,12 @@ class _Handler(BaseHTTPRequestHandler):
         """Bound what the kernel keeps for a viewer that does not read."""
         self.request.setsockopt(SOL_SOCKET, SO_SNDBUF, SEND_BUFFER_BYTES)
         super().setup()
+        self.rfile = io.BufferedReader(_Arriving(self.connection))
 
     def do_GET(self) -> None:
         """Answer."""
         self.close_connection = True
+        self.connection.settimeout(PATIENCE_S)  # the request has used up some of the time that it had
         try:
             url = urlsplit(self.path)
             query = {key: values[-1] for key, values in parse_qs(url.query).items()}

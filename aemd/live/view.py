@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import Protocol
 
+from aemd.errors import UsageError
 from aemd.live.access import Address, make_token, parse_address
 from aemd.live.feed import About, Feed
 from aemd.live.foxglove import DEFAULT_FOXGLOVE, Foxglove
@@ -81,7 +82,7 @@ def open_views(live: str | None, options: LiveOptions, foxglove: str | None = No
     """Open the live views that a command line asks for, and close them.
 
     Args:
-        live: of `--live`: an address, empty for the default one, None for no page.
+        live: of `--live`: an address, empty for the default one or, where that is taken, a free one, None for no page.
         options: the config's [live].
         foxglove: of `--foxglove`, likewise.
 
@@ -91,9 +92,19 @@ def open_views(live: str | None, options: LiveOptions, foxglove: str | None = No
     with ExitStack() as stack:
         views: list[View] = []
         if live is not None:
-            views.append(Page(parse_address(live, Address(), "--live"), options))
+            views.append(_open_page(live, options))
             stack.callback(views[-1].close)
         if foxglove is not None:
             views.append(Foxglove(parse_address(foxglove, DEFAULT_FOXGLOVE, "--foxglove")))
             stack.callback(views[-1].close)
         yield views
+
+
+def _open_page(live: str, options: LiveOptions) -> Page:
+    """Open the page; that another acquisition of this machine has the default port is no reason not to acquire."""
+    try:
+        return Page(parse_address(live, Address(), "--live"), options)
+    except UsageError:
+        if live:
+            raise
+    return Page(Address(port=0), options)

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -20,9 +21,11 @@ from typer.main import get_command
 
 from aemd.cli import app, main
 from aemd.cli.common import AddressCommand
-from aemd.errors import InstrumentError
+from aemd.errors import InstrumentError, UsageError
 from aemd.live.access import Address
+from aemd.live.options import LiveOptions
 from aemd.live.runtime import Running, announced, find_running
+from aemd.live.view import open_views
 from aemd.watch import remote
 from aemd.watch.terminal import draw_braille, fill_dots
 from tests.live.browser import acquiring
@@ -173,3 +176,16 @@ def test_braille_shows_every_column_from_its_least_to_its_greatest_value() -> No
 
     assert mask.T.astype(int).tolist() == [[0, 0, 0, 1], [1, 1, 1, 0], [0, 0, 0, 0], [0, 1, 0, 0]]
     assert [line.plain for line in draw_braille([(mask, "red")])] == ["⡸⠐"]
+
+
+def test_the_default_port_gives_way_where_it_is_taken_and_one_that_was_named_does_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with open_views("0", LiveOptions()) as first:
+        port = urlsplit(first[0].url).port
+        assert port is not None
+        monkeypatch.setattr("aemd.live.access.Address.__init__.__defaults__", ("127.0.0.1", port))
+        with open_views("", LiveOptions()) as second:
+            assert urlsplit(second[0].url).port not in {None, 0, port}
+        with pytest.raises(UsageError, match="is taken"), open_views(str(port), LiveOptions()):
+            pass

@@ -307,3 +307,22 @@ def test_a_taken_port_is_one_line_with_a_way_out(make_bench: Callable[[], Bench]
 def test_what_is_no_address_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="must be HOST:PORT"):
         parse_address(text, Address(), "--live")
+
+
+def test_who_sends_a_request_letter_by_letter_is_hung_up_on_in_time(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("aemd.live.server.PATIENCE_S", 0.5)
+    with serving(bench) as server, socket.create_connection(("127.0.0.1", server.address.port)) as slow:
+        slow.settimeout(0.1)
+        until, heard = time.monotonic() + 10, b"?"
+        while heard and time.monotonic() < until:
+            try:
+                slow.send(b"G")
+                heard = slow.recv(1)
+            except TimeoutError:
+                continue
+            except ConnectionError:
+                heard = b""
+
+    assert heard == b""

@@ -11,6 +11,7 @@ import pytest
 from aemd.config import load_config
 from aemd.errors import RecordingError, UsageError
 from aemd.install import install, plan_system, plan_user
+from aemd.live.runtime import announced
 
 CONFIG = Path(__file__).parents[2] / "config"
 analyze = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
@@ -64,7 +65,7 @@ def test_a_system_installation_holds_all_that_the_unit_names(tmp_path: Path) -> 
     summary = install(plan_system(tmp_path, Path("/opt/aemd/bin/aemd")), user=False, dry_run=False)
 
     unit = (tmp_path / "etc/systemd/system/aemd.service").read_text()
-    assert "ExecStart=/opt/aemd/bin/aemd acquire /etc/aemd/aemd.toml --out /var/lib/aemd\n" in unit
+    assert "ExecStart=/opt/aemd/bin/aemd acquire /etc/aemd/aemd.toml --out /var/lib/aemd --live\n" in unit
     users = (tmp_path / "etc/sysusers.d/aemd.conf").read_text()
     group = re.search(r"^SupplementaryGroups=(\S+)$", unit, re.MULTILINE)
     assert group is not None
@@ -123,3 +124,18 @@ def test_the_users_file_is_understood(tmp_path: Path) -> None:
     assert ran.returncode == 0, ran.stderr
     assert re.search(r"^aemd:x:\d+:\d+:aemd acquisition:/var/lib/aemd:", (tmp_path / "etc/passwd").read_text())
     assert re.search(r"^aemd-dev:x:\d+:aemd$", (tmp_path / "etc/group").read_text(), re.MULTILINE)
+
+
+def test_everybodys_status_finds_the_services_page(tmp_path: Path) -> None:
+    """systemd makes the folder; one account writes into it, and the others read."""
+    unit = (CONFIG / "aemd.service").read_text()
+    environment = {"RUNTIME_DIRECTORY": str(tmp_path)}
+    modes = []
+    for url in ("http://127.0.0.1:8410/", "http://127.0.0.1:8410/?token=t"):
+        with announced(url, "34410A", environment) as path:
+            assert path is not None
+            modes.append(path.stat().st_mode & 0o777)
+
+    assert "\nRuntimeDirectory=aemd\n" in unit  # /run/aemd, where `find_running` looks
+    assert " --live\n" in unit
+    assert modes == [0o644, 0o640]
