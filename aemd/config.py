@@ -176,7 +176,9 @@ def load_config(path: Path | None) -> Config:
 
 
 def load_estimator(path: Path) -> EstimatorChoice:
-    """Read the [estimator] table of a model file, such as `aemd tune` writes, or of a config; other tables are left be.
+    """Read the [estimator] table of a model file, such as `aemd tune` and `aemd diagnose -o` write, or of a config.
+
+    Other tables are left be.
 
     Raises:
         ConfigError: the file cannot be read, is not TOML, has no such table, or says something that cannot be.
@@ -184,7 +186,7 @@ def load_estimator(path: Path) -> EstimatorChoice:
     tables = _read_toml(_read_text(path), str(path))
     table = tables.get("estimator")
     if not isinstance(table, dict):
-        raise ConfigError(f"{path}: [estimator]: missing; `aemd tune` writes such a file")
+        raise ConfigError(f"{path}: [estimator]: missing; `aemd tune` and `aemd diagnose -o` write such a file")
     return choose_estimator(table, str(path))
 
 

@@ -11,7 +11,8 @@
     effect = "quantiser"
     step_V = 1e-6
 
-Terms add up at the input; effects change the readings, in the order of the file. `aemd.model` says which there are.
+Terms add up at the input; effects change the readings, in the order of the file. `aemd.model` says which there are. An
+[estimator] table, as `aemd diagnose -o` writes, is for `acquire` and `replay`, and left be here.
 """
 
 import math
@@ -72,6 +73,7 @@ def read_model(path: Path) -> Model:
         raise ConfigError(f"{path}: not TOML: {str(error)[0].lower()}{str(error)[1:]}") from error
     place = str(path)
     known = [field.name for field in fields(Model)]
+    tables.pop("estimator", None)  # what reads it checks it: `acquire`, `replay`
     for key in tables:
         if key not in known:
             raise ConfigError(f"{place}: {key}: unknown key; {not_among(key, known)}")

@@ -151,6 +151,7 @@ def _tables(fit: Fit, aperture_s: float, spread: Floats) -> dict[str, Any]:
     made, without = to_model(fit, aperture_s)
     return {
         **as_tables(made),
+        "aperture_s": aperture_s,
         "without_term": list(without),
         "parameters": {
             ("base" if number == 0 else f"{number}_{term.cause}"): describe(fit, number, spread)
