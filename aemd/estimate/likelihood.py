@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 LEAST_RATE = 3.2  # of a swing, in noises over the length of the stretch: see Likelihood._options
 SHARP = 1000.0  # factor of the logarithm of a frequency: see Likelihood
 _ABSENT = 1e-2  # standard deviation of a part that is not there, in units of the noise: nothing, but not singular
+_NO_VOLTAGE_V = 1e30  # the estimator puts such a reading aside too
 _DRASTIC = 5.0  # least standard deviation of the abrupt disturbance in units of the noise: less is not told from noise
 
 
@@ -192,5 +193,5 @@ class Likelihood:
 
 
 def usable(block: Block) -> NDArray[np.bool_]:
-    """Return which readings have a value."""
-    return np.asarray((block["status"] & NOT_A_VALUE == 0) & np.isfinite(block["value_V"]))
+    """Return which readings have a value: one that a meter can have read, so that no square of it overflows."""
+    return np.asarray((block["status"] & NOT_A_VALUE == 0) & (np.abs(block["value_V"]) < _NO_VOLTAGE_V))

@@ -30,6 +30,7 @@ __all__ = ["Kind", "Tuning", "noise_of", "tune"]
 Floats = NDArray[np.float64]
 
 _LEAST_READINGS = 100  # fewer do not tell eight parameters apart
+_LEAST_SPREAD_V = 1e-30  # the square of less may be 0
 _EXPLORED = 4  # pieces of a long stretch on which the kinds are compared
 _PIECE = 2_500  # readings of each; the best kind is then fitted to the whole stretch
 
@@ -80,7 +81,7 @@ def tune(
     together = np.concatenate(values) if values else np.empty(0)
     if together.size < _LEAST_READINGS:
         raise ConfigError(f"{together.size} readings with a value: too few to tune by, at least {_LEAST_READINGS}")
-    if np.ptp(together) == 0:
+    if np.ptp(together) < _LEAST_SPREAD_V:
         raise ConfigError(f"all {together.size} readings are {together[0]:g} V: nothing to tune by")
     origin = float(np.median(together)) if origin_V is None else origin_V
     slowest = 150.0 if slowest_signal_s is None else slowest_signal_s / interval_s

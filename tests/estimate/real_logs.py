@@ -30,7 +30,6 @@ from aemd.estimate.tune import tune
 
 RIVALS = ("KF", "LMS", "REM", "AEM")
 SLOW_LOGS = ("adc24_7hz_reference", "dmm6d_lm399_3hz", "dmm6d_calibrator_warmup")
-FOLDER = Path(os.environ.get("AEMD_MEASURED") or Path(__file__).parents[3] / "shared" / "measured")
 SHAKER = "shaker_vibration_shock"
 TRIALS = 7
 NAMES = (*SLOW_LOGS, *(f"shaker-{trial}" for trial in range(TRIALS)))
@@ -120,7 +119,7 @@ def main(names: list[str]) -> None:
         f"{'log':26}{'tuned -> judged':18}" + "".join(f"{method:>9}" for method in (*RIVALS, "imm")) + "  imm leads by"
     )
     for name in names or NAMES:
-        for direction, scores, found in scores_of(FOLDER, name):
+        for direction, scores, found in scores_of(Path(os.environ["AEMD_MEASURED"]), name):
             lead = scores["imm"] - max(scores[method] for method in RIVALS)
             cells = "".join(f"{value:9.3f}" for value in scores.values())
             print(f"{name:26}{direction:18}{cells}{lead:+9.3f}", flush=True)

@@ -140,6 +140,10 @@ def test_too_little_is_refused() -> None:
         tune([flat], T)
     with pytest.raises(ConfigError, match="0 readings"):
         tune([], T)
+    with pytest.raises(ConfigError, match="0 readings"):
+        tune([make_block(np.linspace(1e299, 1e300, 200))], T)
+    with pytest.raises(ConfigError, match="all 200 readings are 0 V: nothing to tune by"):
+        tune([make_block(np.append(np.zeros(199), 1e-300))], T)
     with pytest.raises(ConfigError, match="too few, at least 100"):
         noise_of(few)
 
