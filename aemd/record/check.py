@@ -25,6 +25,11 @@ from aemd.record.walk import DAMAGED, Record, has_end, parse, walk
 
 __all__ = ["CheckResult", "check"]
 
+_NOTED = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT)
+_HELD_OF_CHUNKS = (
+    *("chunk_start_offset", "chunk_length", "compression", "compressed_size", "uncompressed_size"),
+    *("message_start_time", "message_end_time"),
+)
 _MOST_FINDINGS = 20  # a file that is wrong throughout is not told of chunk by chunk
 
 
@@ -67,7 +72,7 @@ class _Checker:
         self._full = FullIndexes(first_index)
         self._messages: dict[int, int] = {}
         self._chunks = 0
-        self._log_time_ns = 0
+        self._first_time_ns = self._log_time_ns = 0
         self._jumps: dict[tuple[int, int], int] = {}
         """First and last index of each loss that no event has told of yet, and the chunk behind it."""
         self._told: set[tuple[int, int]] = set()
@@ -78,7 +83,7 @@ class _Checker:
 
     def run(self) -> CheckResult:
         summarised = self._summarised()
-        noted = {Opcode.METADATA: 0, Opcode.ATTACHMENT: 0}
+        noted = {opcode: list[Record]() for opcode in _NOTED}
         for chunk, indexes in self._records(noted):
             self._take(chunk, indexes, next(summarised, None))
         if (extra := next(summarised, None)) is not None:
@@ -111,8 +116,8 @@ class _Checker:
         else:
             self._unsaid += 1
 
-    def _records(self, noted: dict[Opcode, int]) -> Iterator[tuple[Record, list[Record]]]:
-        """Yield each chunk with the message indexes behind it, and count the other records of the data section."""
+    def _records(self, noted: Mapping[Opcode, list[Record]]) -> Iterator[tuple[Record, list[Record]]]:
+        """Yield each chunk with the message indexes behind it, and note the other records of the data section."""
         chunk, indexes, end = None, list[Record](), len(MCAP0_MAGIC)
         for record in walk(self._octets):
             end = record.end
@@ -123,7 +128,7 @@ class _Checker:
                 yield chunk, indexes
             chunk, indexes = (record if record.opcode == Opcode.CHUNK else None), []
             if record.opcode in noted:
-                noted[Opcode(record.opcode)] += 1
+                noted[Opcode(record.opcode)].append(record)
             elif record.opcode == DAMAGED:
                 length = record.end - record.at
                 self._notes.append(f"{length} bytes at byte {record.at} are damaged; recovery passed over them")
@@ -191,9 +196,11 @@ class _Checker:
             return
         made = contents.chunk_index(chunk.at, chunk.end - chunk.at, chunk.end)
         offsets = {channel: index.at for channel, index in held.items()}
-        for name in ("chunk_start_offset", "chunk_length", "message_start_time", "message_end_time", "compression"):
+        for name in _HELD_OF_CHUNKS:
             if getattr(told, name) != getattr(made, name):
                 self._find(f"the summary tells of {place} that its {name} is {getattr(told, name)}")
+        if told.message_index_length != (indexes[-1].end if indexes else chunk.end) - chunk.end:
+            self._find(f"the summary tells of {place} that its message_index_length is {told.message_index_length}")
         if {channel: at for channel, at in told.message_index_offsets.items() if channel in offsets} != offsets:
             self._find(f"the summary does not tell where the message indexes of {place} are")
 
@@ -203,6 +210,7 @@ class _Checker:
             return
         if times[0] < self._log_time_ns or (times[1:] < times[:-1]).any():
             self._find(f"{place} has a log time before that of the message before it")
+        self._first_time_ns = min(self._first_time_ns or int(times.min()), int(times.min()))
         self._log_time_ns = max(self._log_time_ns, int(times.max()))
         if (head.message_start_time, head.message_end_time) != (times.min(), times.max()):
             self._find(f"{place} says that it begins or ends at another time than its messages do")
@@ -264,30 +272,59 @@ class _Checker:
 
     # The end.
 
-    def _hold_end(self, noted: Mapping[Opcode, int]) -> None:
+    def _hold_end(self, noted: Mapping[Opcode, list[Record]]) -> None:
         try:
             self._recording.verify()
         except RecordingError as error:
             self._find(str(error).removeprefix(f"{self._path}: "))
+        self._hold_close()
         footer = self._footer()
         if footer is None or not footer.summary_start:
             self._find("it has no summary")
             return
-        told: dict[int, int] = {}
+        told: dict[int, list[Record]] = {}
+        end = footer.summary_start
         for record in walk(self._octets, footer.summary_start):
-            told[record.opcode] = told.get(record.opcode, 0) + 1
+            told.setdefault(record.opcode, []).append(record)
+            end = record.end
+        if end != len(self._octets) - len(MCAP0_MAGIC):
+            self._find(f"its end is at byte {end}, and bytes follow that belong to nothing")
+        for record in (record for each in told.values() for record in each):
             try:
-                if record.opcode in {Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX}:
-                    self._hold_place(record)
-                elif record.opcode == Opcode.STATISTICS:
-                    self._hold_statistics(parse(records.Statistics, self._octets, record))
+                self._hold_summary(record, told, noted)
             except ValueError as error:
                 self._find(f"the summary is damaged: {error}")
         for opcode, indexed in ((Opcode.METADATA, Opcode.METADATA_INDEX), (Opcode.ATTACHMENT, Opcode.ATTACHMENT_INDEX)):
-            if told.get(indexed, 0) != noted[opcode]:
-                name = opcode.name.lower()
-                self._find(f"it has {noted[opcode]} {name} records, and its summary tells of {told.get(indexed, 0)}")
-        self._hold_close()
+            if (count := len(told.get(indexed, []))) != len(noted[opcode]):
+                self._find(
+                    f"it has {len(noted[opcode])} {opcode.name.lower()} records, and its summary tells of {count}"
+                )
+
+    def _hold_summary(
+        self, record: Record, told: Mapping[int, list[Record]], noted: Mapping[Opcode, list[Record]]
+    ) -> None:
+        """Hold one record of the summary against the rest of the file.
+
+        Raises:
+            ValueError: it is damaged.
+        """
+        if record.opcode in {Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX}:
+            self._hold_place(record)
+        elif record.opcode == Opcode.STATISTICS:
+            self._hold_statistics(parse(records.Statistics, self._octets, record), told, noted)
+        elif record.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:  # a repetition of the data section's, number included
+            number = self._octets[record.begin : record.begin + 2]
+            for original in noted[Opcode(record.opcode)]:
+                is_same = self._octets[original.begin : original.end] == self._octets[record.begin : record.end]
+                if self._octets[original.begin : original.begin + 2] == number and not is_same:
+                    self._find(
+                        f"the {Opcode(record.opcode).name.lower()} at byte {record.at} is not as at the beginning"
+                    )
+        elif record.opcode == Opcode.SUMMARY_OFFSET:
+            offset = parse(records.SummaryOffset, self._octets, record)
+            group = told.get(offset.group_opcode, [])
+            if not group or (offset.group_start, offset.group_length) != (group[0].at, group[-1].end - group[0].at):
+                self._find(f"the summary offset at byte {record.at} tells of records that are not there")
 
     def _hold_place(self, record: Record) -> None:
         told: MetadataIndex | AttachmentIndex
@@ -300,12 +337,24 @@ class _Checker:
             name = opcode.name.lower()
             self._find(f"the summary tells of {name} {told.name!r} at byte {told.offset}; it is not there")
 
-    def _hold_statistics(self, told: records.Statistics) -> None:
+    def _hold_statistics(
+        self, told: records.Statistics, summary: Mapping[int, list[Record]], noted: Mapping[Opcode, list[Record]]
+    ) -> None:
         counts = {channel: count for channel, count in told.channel_message_counts.items() if count}
         if counts != self._messages:
             self._find(f"its statistics tell of {counts} messages by channel; it holds {self._messages}")
-        if told.chunk_count != self._chunks:
-            self._find(f"its statistics tell of {told.chunk_count} chunks; it holds {self._chunks}")
+        for name, held in {
+            "message_count": sum(self._messages.values()),
+            "chunk_count": self._chunks,
+            "schema_count": len(summary.get(Opcode.SCHEMA, [])) or told.schema_count,  # a summary may leave them out
+            "channel_count": len(summary.get(Opcode.CHANNEL, [])) or told.channel_count,
+            "attachment_count": len(noted[Opcode.ATTACHMENT]),
+            "metadata_count": len(noted[Opcode.METADATA]),
+            "message_start_time": self._first_time_ns,
+            "message_end_time": self._log_time_ns,
+        }.items():
+            if (said := getattr(told, name)) != held:
+                self._find(f"its statistics tell of {name} = {said}; it is {held}")
 
     def _hold_close(self) -> None:
         close = self._recording.metadata.get("aemd.close")

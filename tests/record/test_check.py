@@ -1,8 +1,12 @@
 """What a check holds against each other, one by one."""
 
+import re
 import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
+
+import pytest
 
 from aemd.block import Batch
 from aemd.errors import RecordingError
@@ -55,3 +59,53 @@ def test_no_byte_of_a_recording_can_be_wrong_without_a_finding(record: Callable[
                 assert check(bad).findings, at
             except RecordingError:
                 continue
+
+
+@pytest.mark.parametrize(
+    ("opcode", "offset", "finding"),
+    [
+        (0x0B, 0, "statistics tell of message_count"),
+        (0x0B, 8, "statistics tell of schema_count"),
+        (0x0B, 10, "statistics tell of channel_count"),
+        (0x0B, 14, "statistics tell of attachment_count"),
+        (0x0B, 18, "statistics tell of metadata_count"),
+        (0x0B, 22, "statistics tell of chunk_count"),
+        (0x0B, 26, "statistics tell of message_start_time"),
+        (0x0B, 34, "statistics tell of message_end_time"),
+        (0x08, 0, "message_start_time"),
+        (0x08, 16, "does not tell of the chunk|chunk_start_offset"),
+        (0x08, -16, "compressed_size"),
+        (0x08, -8, "uncompressed_size"),
+        (0x04, -1, "channel at byte .* is not as at the beginning"),
+        (0x03, 8, "schema at byte .* is not as at the beginning"),
+        (0x0E, 1, "summary offset"),
+        (0x0E, 9, "summary offset"),
+    ],
+)
+def test_a_summary_that_is_wrong_with_a_right_checksum_is_found(
+    opcode: int, offset: int, finding: str, record: Callable[..., Path], tmp_path: Path
+) -> None:
+    """As a program would leave it that changes a file: the checksum (MCAP specification, Footer) is made to fit."""
+    readings = readings_of(20)
+    octets = bytearray(record([(Batch(readings), estimates_of(readings))]).read_bytes())
+    footer = len(octets) - 8 - 20 - 9
+    summary_start = struct.unpack_from("<Q", octets, footer + 9)[0]
+    at, body = next((at, body) for op, at, body in records_of(bytes(octets)) if op == opcode and at >= summary_start)
+    octets[at + 9 + (offset if offset >= 0 else len(body) + offset)] ^= 1
+    struct.pack_into("<I", octets, footer + 25, zlib.crc32(octets[summary_start : footer + 25]))
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(octets)
+
+    assert re.search(finding, "; ".join(check(bad).findings))
+
+
+def test_bytes_behind_the_end_are_found_even_if_they_are_another_recording(
+    record: Callable[..., Path], tmp_path: Path
+) -> None:
+    readings = readings_of(20)
+    good = record([(Batch(readings), estimates_of(readings))]).read_bytes()
+    (tmp_path / "two.mcap").write_bytes(good + good)
+
+    assert check(tmp_path / "two.mcap").findings == (
+        f"its end is at byte {len(good) - 8}, and bytes follow that belong to nothing",
+    )
