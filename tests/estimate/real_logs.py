@@ -65,7 +65,7 @@ def tuned_rival(method: str, readings: NDArray[np.float64], interval_s: float) -
     """Return the options of greatest likelihood of one of the paper's four."""
     step = float(np.std(np.diff(readings)))
     if method == "LMS":
-        grid = itertools.product((2, 5, 15, 40), (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0), (30, 300))
+        grid = itertools.product((2, 5, 15, 40, 100), (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 1.5), (30, 300))
         tried = [
             {
                 "taps": taps,
