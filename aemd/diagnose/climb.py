@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aemd.diagnose.hypothesis import Data, Parts, Term
-from aemd.diagnose.kernels import log_densities
-from aemd.diagnose.telegraph import follow_telegraph
+from aemd.diagnose.kernels import follow_telegraph, log_densities
 
 __all__ = [
     "HOPELESS",

@@ -10,9 +10,8 @@ from scipy.special import ndtri
 
 from aemd.diagnose.climb import Climb, assemble, climb, densities, race, readings_scores, sharpened, split
 from aemd.diagnose.hypothesis import Base, Data, Term, base_box, base_start_with_shocks
-from aemd.diagnose.kernels import predict, whiten
+from aemd.diagnose.kernels import follow_telegraph, predict, whiten
 from aemd.diagnose.starts import spectral_starts, usual_starts, without_jumps
-from aemd.diagnose.telegraph import follow_telegraph
 from aemd.diagnose.terms.noise import Smoothing
 
 __all__ = [

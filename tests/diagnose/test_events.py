@@ -12,9 +12,8 @@ from aemd.diagnose.checks.ranges import check_hole
 from aemd.diagnose.checks.shocks import check_shock_law
 from aemd.diagnose.fit import fit_base
 from aemd.diagnose.hypothesis import make_data
-from aemd.diagnose.kernels import MARKOV
+from aemd.diagnose.kernels import MARKOV, follow_telegraph
 from aemd.diagnose.steadiness import allan_deviation
-from aemd.diagnose.telegraph import follow_telegraph
 from aemd.diagnose.terms.events import rung
 from aemd.diagnose.terms.witnessed import unit_of
 from tests.diagnose.plant import INTERVAL_S, clean, series
