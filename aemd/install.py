@@ -19,7 +19,7 @@ HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # noqa: S108 - wha
 USER_KEYS = frozenset(
     [
         *("Description", "StartLimitIntervalSec", "Type", "ExecStart", "Restart", "RestartSec"),
-        *("RestartPreventExitStatus", "WatchdogSec", "TimeoutStartSec", "TimeoutStopSec"),
+        *("RestartPreventExitStatus", "SuccessExitStatus", "WatchdogSec", "TimeoutStartSec", "TimeoutStopSec"),
         *("CacheDirectory", "Environment", "UMask", "NoNewPrivileges", "LockPersonality"),
     ]
 )

@@ -72,9 +72,10 @@ class Notifier:
         """Whether somebody listens."""
         return bool(self._address)
 
-    def ready(self, status: str) -> None:
-        """Say that the start has succeeded."""
-        self._send("READY=1", f"STATUS={_one_line(status)}")
+    def ready(self, status: str, patience_s: float = 0.0) -> None:
+        """Say that the start has succeeded; ask for a watchdog this patient where the unit's is less so."""
+        more = [f"WATCHDOG_USEC={round(patience_s * 1e6)}"] if 0 < self.watchdog_s < patience_s else []
+        self._send("READY=1", f"STATUS={_one_line(status)}", *more)
 
     def status(self, text: str) -> None:
         """Say what `systemctl status` shows; only where it changed."""

@@ -41,6 +41,7 @@ from aemd.service import Notifier, Pulse, stopping_on_signals, watched
 __all__ = ["AcquireSummary", "acquire", "opened", "simulated"]
 
 LAST_RECOVERY_S = 10.0
+EXCHANGES = 10  # in a row with no answer, between two signs of life: up to 5 were seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +144,9 @@ def acquire(
         failure: InstrumentError | None = None
         acquisition = Acquisition(instrument, most_readings=most, give_up_s=config.acquisition.give_up_s)
         rollover.clock_facts = acquisition.clock_facts
-        notifier.ready(f"acquiring {folder.absolute()}")
+        # One attempt to have a silent meter back is some exchanges long, each of which waits for its answer.
+        patience_s = EXCHANGES * getattr(config.instrument, "timeout_s", 0.0)
+        notifier.ready(f"acquiring {folder.absolute()}", patience_s)
         behind.enter_context(_recovering(folder, console, stop))  # left after this recording has been finished
         try:
             with (

@@ -230,3 +230,15 @@ def test_a_folder_that_is_removed_under_a_service_is_in_its_status_and_does_not_
 
     assert process.returncode == 0
     assert len(list((tmp_path / "rec").glob("*.mcap"))) == 1
+
+
+def test_a_long_timeout_of_the_meters_asks_the_watchdog_for_more_time_and_a_short_one_does_not(
+    listener: Listener,
+) -> None:
+    told = notifier(listener, WATCHDOG_USEC="30000000")
+    told.ready("up", 20.0)
+    told.ready("up", 600.0)
+    Notifier({"NOTIFY_SOCKET": listener.socket.getsockname()}).ready("up", 600.0)  # there is no watchdog
+
+    heard = [listener.hear().get("WATCHDOG_USEC") for _ in range(3)]
+    assert heard == [None, "600000000", None]
