@@ -19,7 +19,7 @@ from aemd.record.chunk import BadChunkError, MessageKind, open_chunk
 from aemd.record.growing import Compression, GrowingFile
 from aemd.record.reader import Recording, open_map
 from aemd.record.rows import EMPTY, Rows
-from aemd.record.walk import Record, parse, walk
+from aemd.record.walk import Record, has_end, parse, walk
 from aemd.record.writer import CHUNK_BYTES
 
 __all__ = ["Compaction", "compact"]
@@ -52,6 +52,8 @@ def compact(path: Path, out: Path, *, compression: Compression = "zstd", chunk_b
         RecordingError: it is unfinished or damaged, the new one exists, or the disk refuses.
     """
     with Recording(path) as recording, open_map(path) as octets:
+        if not has_end(octets):
+            raise RecordingError(f"{path}: is unfinished: stop what writes it, or finish it with `aemd recover`")
         recording.verify()
         kinds = recording.kinds
         schemas, channels, before, behind = _around(path, octets)

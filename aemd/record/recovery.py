@@ -75,6 +75,8 @@ def recover(path: Path) -> Recovery:
         raise RecordingError(f"{path}: cannot be opened: {why(error)}; name an unfinished recording") from error
     try:
         return _recover(path, target, fd)
+    except OSError as error:  # a device, or a file system without locks
+        raise RecordingError(f"{path}: cannot be recovered: {why(error)}; copy it to a disk of your own") from error
     finally:
         os.close(fd)
 

@@ -71,3 +71,13 @@ def test_a_damaged_recording_is_not_compacted_and_leaves_nothing(record: Callabl
     assert not list(tmp_path.glob("c.mcap*"))
     with pytest.raises(RecordingError, match=r"r\.mcap: exists: a recording is never overwritten"):
         compact(tmp_path / "r.mcap", tmp_path / "r.mcap")
+
+
+def test_a_recording_that_still_grows_is_not_compacted(record: Callable[..., Path], tmp_path: Path) -> None:
+    octets = record([eventful_batch()], WITH_WITNESS, chunk_bytes=200).read_bytes()
+    data_end = next(at for opcode, at, _ in records_of(octets) if opcode == 0x0F)
+    (tmp_path / "r.mcap.active").write_bytes(octets[:data_end])
+
+    with pytest.raises(RecordingError, match=r"is unfinished: .* `aemd recover`"):
+        compact(tmp_path / "r.mcap.active", tmp_path / "c.mcap")
+    assert not list(tmp_path.glob("c.mcap*"))

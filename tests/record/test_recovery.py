@@ -307,3 +307,8 @@ def test_all_that_is_left_in_a_folder_is_recovered_with_a_line_each(
     assert lines[0].startswith(f"recovered={tmp_path / 'a.mcap'} readings={COUNT} lost=0")
     assert lines[1].startswith("not recovered: ")
     assert (tmp_path / "b.mcap.active").exists()
+
+
+def test_what_is_no_file_of_a_disk_is_one_line_and_no_fault_of_stdout() -> None:
+    with pytest.raises(RecordingError, match="/dev/null: cannot be recovered: "):
+        recover(Path("/dev/null"))
