@@ -138,10 +138,10 @@ def encode_chunk(
         compressor: None to store them as they are.
         offset: where in the file the chunk will be.
     """
-    octets = rows.octets.tobytes()
+    octets = rows.octets.data  # a copy of its own would cost more than the checksum
     head = Chunk(
         compression="zstd" if compressor else "",
-        data=compressor.compress(octets) if compressor else octets,
+        data=compressor.compress(octets) if compressor else bytes(octets),
         message_start_time=int(rows.log_time[0]),
         message_end_time=int(rows.log_time[-1]),
         uncompressed_crc=crc32(octets),
@@ -149,7 +149,7 @@ def encode_chunk(
     )
     chunk, indexes = encode(head), _index_records(rows)
     index = _chunk_index(head, indexes, offset, len(chunk), offset + len(chunk))
-    counts = {channel: int(np.count_nonzero(rows.channel == channel)) for channel in indexes}
+    counts = {channel: len(rows.start[mine]) for channel, mine in rows.places().items()}
     return b"".join([chunk, *indexes.values()]), index, counts
 
 
@@ -179,11 +179,9 @@ class _Misplaced(Exception):  # noqa: N818 - never leaves this file
 
 
 def _index_records(rows: Rows) -> dict[int, bytes]:
-    found = {}
-    for channel in np.flatnonzero(np.bincount(rows.channel)).tolist():
-        mine = np.flatnonzero(rows.channel == channel)
-        found[channel] = encode_index(channel, rows.log_time[mine], rows.start[mine])
-    return found
+    return {
+        channel: encode_index(channel, rows.log_time[mine], rows.start[mine]) for channel, mine in rows.places().items()
+    }
 
 
 def _chunk_index(head: Chunk, indexes: Mapping[int, bytes], offset: int, length: int, indexes_at: int) -> ChunkIndex:

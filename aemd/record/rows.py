@@ -7,7 +7,7 @@ stride of one byte, makes both directions one assignment: `view[offsets] = rows`
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -50,12 +50,22 @@ class Rows:
     """Log time of each, never falling, shape (n,), ns."""
     start: NDArray[np.int64]
     """Where each begins in `octets`, shape (n,)."""
+    turn: int = 0
+    """Messages after which the channels come again in the same order, each once; 0 where they come in any."""
+
+    def places(self) -> dict[int, slice | NDArray[np.intp]]:
+        """Return which of the messages are each channel's, the channels in order."""
+        if self.turn:
+            first = self.channel[: self.turn].tolist()
+            return {channel: slice(first.index(channel), None, self.turn) for channel in sorted(first)}
+        held = np.flatnonzero(np.bincount(self.channel)).tolist()
+        return {channel: np.flatnonzero(self.channel == channel) for channel in held}
 
     def split(self, row: int) -> tuple["Rows", "Rows"]:
         """Return the rows before this one, and those from it on."""
         at = int(self.start[row]) if row < len(self.start) else len(self.octets)
-        head = Rows(self.octets[:at], self.channel[:row], self.log_time[:row], self.start[:row])
-        tail = Rows(self.octets[at:], self.channel[row:], self.log_time[row:], self.start[row:] - at)
+        head = Rows(self.octets[:at], self.channel[:row], self.log_time[:row], self.start[:row], self.turn)
+        tail = Rows(self.octets[at:], self.channel[row:], self.log_time[row:], self.start[row:] - at, self.turn)
         return head, tail
 
     def join(self, after: "Rows") -> "Rows":
@@ -82,9 +92,6 @@ def merge(tracks: Sequence[Track], not_before_ns: int) -> Rows:
         tracks: at least one.
         not_before_ns: log time of what was written before.
     """
-    tracks = [track for track in tracks if len(track.messages)] or tracks[:1]
-    if _take_turns(tracks):
-        return _alternate(tracks, not_before_ns)
     instants = np.concatenate([np.maximum.accumulate(track.t_ns) for track in tracks])
     lengths = np.concatenate([track.lengths() for track in tracks])
     channels = np.repeat(
@@ -113,31 +120,6 @@ def merge(tracks: Sequence[Track], not_before_ns: int) -> Rows:
             record = _MESSAGE_HEADER.pack(Opcode.MESSAGE, length, track.channel, 0, log, t_ns) + payload
             octets[start : start + len(record)] = np.frombuffer(record, np.uint8)
     return Rows(octets, channels[order], log_time, ends - lengths[order])
-
-
-def _take_turns(tracks: Sequence[Track]) -> bool:
-    """Tell whether the tracks, of fixed width all, have a message each at the same instants, no two of these alike."""
-    t_ns = tracks[0].t_ns
-    return (
-        all(isinstance(track.messages, np.ndarray) for track in tracks)
-        and bool((t_ns[1:] > t_ns[:-1]).all())
-        and all(np.array_equal(track.t_ns, t_ns) for track in tracks[1:])
-    )
-
-
-def _alternate(tracks: Sequence[Track], not_before_ns: int) -> Rows:
-    """Do what `merge` does, for tracks that take turns: readings with their estimates, in a quarter of the time."""
-    log_time = np.maximum(tracks[0].t_ns, not_before_ns)
-    widths = [track.messages.dtype.itemsize for track in tracks if isinstance(track.messages, np.ndarray)]
-    ends = np.cumsum(widths)
-    turns = np.empty((len(log_time), int(ends[-1])), np.uint8)
-    for track, width, end in zip(tracks, widths, ends.tolist(), strict=True):
-        rows = cast("NDArray[np.void]", track.messages)
-        rows["log_time"] = log_time
-        turns[:, end - width : end] = _as_bytes(rows).view(np.uint8).reshape(-1, width)
-    starts = np.arange(len(log_time), dtype=np.int64)[:, None] * ends[-1] + (ends - widths)
-    channels = np.array([track.channel for track in tracks], np.uint16)
-    return Rows(turns.ravel(), np.tile(channels, len(log_time)), np.repeat(log_time, len(tracks)), starts.ravel())
 
 
 def rows_at(octets: NDArray[np.uint8], row: np.dtype[np.void], starts: NDArray[np.int64]) -> NDArray[np.void]:

@@ -42,6 +42,7 @@ __all__ = [
     "Layout",
     "decode_event",
     "encode_event",
+    "fill_rows",
     "make_layout",
 ]
 
@@ -165,12 +166,18 @@ class Layout:
 
     def make_rows(self, count: int, channel: int) -> Rows:
         """Return that many rows of the channel, times and values not yet filled in."""
+        rows = np.empty(count, self.row)
+        self.mark(rows, channel)
+        return rows
+
+    def mark(self, rows: Rows, channel: int) -> None:
+        """Write into these rows what every row of the channel holds, and zeros for the rest."""
         row = np.zeros(1, self.row)
         for name, constant in self.constants.items():
             row[name] = constant
         row["channel"] = channel
-        # As bytes: numpy would copy field by field.
-        return np.repeat(row.view(f"V{self.row.itemsize}"), count).view(self.row)
+        as_bytes = f"V{self.row.itemsize}"  # numpy would copy field by field
+        rows.view(as_bytes)[:] = row.view(as_bytes)
 
     def are_rows(self, rows: Rows, channel: int) -> bool:
         """Tell whether each of these is a message of this type on that channel."""
@@ -217,6 +224,15 @@ def make_layout(schema_data: bytes, name: str, required: Iterable[str]) -> Layou
         constants[f"{field.name}.tag"] = field.number << 3 | wire_type
     row = np.dtype(columns)
     return Layout(row=row, constants={**constants, "length": row.itemsize - _FRAME_BYTES})
+
+
+def fill_rows(rows: Rows, name: str, values: NDArray[np.void]) -> None:
+    """Put readings, estimates or witness values into marked rows of their message type; all but the log times."""
+    rows["publish_time"] = values["t_ns"]
+    if name != WITNESS:
+        rows["sequence"] = values["index"] & 0xFFFFFFFF
+    for field, column in COLUMNS[name].items():
+        rows[field] = values[column]
 
 
 def encode_event(event: Event) -> bytes:

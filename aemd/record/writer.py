@@ -33,8 +33,10 @@ from aemd.record.schema import (
     WITNESS_PREFIX,
     Layout,
     encode_event,
+    fill_rows,
     make_layout,
 )
+from aemd.record.turns import Seat, Turn, pack_turns, take_turns, turn_bytes
 
 __all__ = ["CHUNK_BYTES", "Recorder"]
 
@@ -91,6 +93,11 @@ class Recorder:
         schemas, channels = _declare(description)
         self._ids = {channel.topic: channel.id for channel in channels}
         self._layouts = {name: _layout(name) for name in COLUMNS}
+        self._seats = [
+            Seat(self._ids[topic], SCHEMAS[topic], self._layouts[SCHEMAS[topic]])
+            for topic in (RAW, FILTERED)
+            if topic in self._ids
+        ]
         self._file = GrowingFile(
             path, schemas, channels, compression=compression, durability=durability, keep_room=keep_room
         )
@@ -165,8 +172,9 @@ class Recorder:
         if len(batch.readings) or len(estimates) or batch.events or batch.witnesses:
             if self._flush_interval_ns is not None and not self._waiting and not len(self._rows.start):
                 self._due_ns = self._clock() + self._flush_interval_ns
-            self._waiting.append((batch, estimates))
-            self._waiting_bytes += self._bytes_of(batch, estimates)
+            if length := self._bytes_of(batch, estimates):
+                self._waiting.append((batch, estimates))
+                self._waiting_bytes += length
             self._counts.add(batch, estimates)
             self._unwritten.add(batch)
         due = self._flush_interval_ns is not None and self._clock() >= self._due_ns
@@ -212,18 +220,43 @@ class Recorder:
 
     def _bytes_of(self, batch: Batch, estimates: Estimates) -> int:
         witnesses = sum(len(values) for values in batch.witnesses.values())
-        fixed = {SCHEMAS[RAW]: len(batch.readings), SCHEMAS[FILTERED]: len(estimates), WITNESS: witnesses}
+        estimated = len(estimates) if FILTERED in self._ids else 0
+        fixed = {SCHEMAS[RAW]: len(batch.readings), SCHEMAS[FILTERED]: estimated, WITNESS: witnesses}
         events = sum(HEADER_BYTES + len(encode_event(event)) for event in batch.events)
         return events + sum(self._layouts[name].row.itemsize * count for name, count in fixed.items())
 
     def _write_chunks(self, *, to_the_last: bool) -> None:
-        if self._waiting:
-            self._encode_waiting()
-        while len(self._rows.octets) >= self._chunk_bytes or (to_the_last and len(self._rows.start)):
+        while self._waiting_bytes + len(self._rows.octets) >= self._chunk_bytes or (
+            to_the_last and (self._waiting or len(self._rows.start))
+        ):
+            if self._waiting and len(self._rows.octets) < self._chunk_bytes and not self._encode_turns():
+                self._encode_waiting()
             chunk, self._rows = self._rows.split(int(np.searchsorted(self._rows.start, self._chunk_bytes)))
             self._file.write_chunk(chunk)
             self._note_written(chunk)
             self._write_config(int(chunk.log_time[-1]))
+
+    def _encode_turns(self) -> bool:
+        """Encode what fills a chunk, at most, of what waits; tell whether readings and estimates do take turns."""
+        if any(batch.events or batch.witnesses for batch, _ in self._waiting):
+            return False
+        seats = len(self._seats)
+        if not take_turns([(batch.readings, estimates)[:seats] for batch, estimates in self._waiting]):
+            return False
+        width = turn_bytes(self._seats)
+        wanted = -(-(self._chunk_bytes - len(self._rows.octets)) // width)
+        parts: list[Turn] = []
+        while self._waiting and wanted:
+            batch, estimates = self._waiting.pop(0)
+            block = batch.readings
+            if len(block) > wanted:
+                self._waiting.insert(0, (Batch(block[wanted:]), estimates[wanted:]))
+            parts.append((block[:wanted], estimates[:wanted])[:seats])
+            wanted -= len(parts[-1][0])
+            self._waiting_bytes -= len(parts[-1][0]) * width
+        self._rows = pack_turns(self._seats, parts, self._rows, self._log_time_ns)
+        self._log_time_ns = int(self._rows.log_time[-1])
+        return True
 
     def _encode_waiting(self) -> None:
         """Turn what waits into rows behind those that wait already."""
@@ -249,17 +282,14 @@ class Recorder:
     def _track(self, topic: str, schema: str, arrays: list[NDArray[np.void]]) -> Track:
         values = concatenate(arrays)
         rows = self._layouts[schema].make_rows(len(values), self._ids[topic])
-        rows["publish_time"] = values["t_ns"]
-        rows["sequence"] = values["index"] & 0xFFFFFFFF if schema != WITNESS else 0
-        for field, column in COLUMNS[schema].items():
-            rows[field] = values[column]
+        fill_rows(rows, schema, values)
         return Track(self._ids[topic], values["t_ns"], rows)
 
     def _note_written(self, chunk: Rows) -> None:
         """Move what the chunk holds from what waits to what is written, counted as a reader would."""
-        count = {topic: int(np.count_nonzero(chunk.channel == id_)) for topic, id_ in self._ids.items()}
-        batch = self._unwritten.take(count[RAW], count[EVENT])
-        self._written.add(batch, np.empty(count.get(FILTERED, 0), ESTIMATE))
+        held = {channel: len(chunk.start[mine]) for channel, mine in chunk.places().items()}
+        readings, estimates, events = (held.get(self._ids.get(topic, 0), 0) for topic in (RAW, FILTERED, EVENT))
+        self._written.add(self._unwritten.take(readings, events), np.empty(estimates, ESTIMATE))
 
     def _write_config(self, log_time_ns: int) -> None:
         if self._config_waits:
