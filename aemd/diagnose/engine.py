@@ -40,6 +40,8 @@ _ROUNDS = 6
 _LEAST_NATS = 4.0
 """Log-likelihood that a term must add to be called an explanation: what a check sees and no term can use is
 `unexplained`."""
+_HAPPENED = ("step", "warmup_drift", "changing_noise", "popcorn_noise")
+"""Mechanisms of which a record may hold a single instance."""
 
 
 def diagnose(
@@ -109,17 +111,16 @@ def criticise(
     findings = [_from_defect(defect, base) for defect in defects if defect.cause not in expected]
     spread = covariance(fit)
     explained = _explained(fit, named, spread, before if fit is full else None)
-    worse = [item for item in explained if item.gain.nats_total <= 0]
-    findings += [item for item in explained if item.gain.nats_total > 0]
-    if worse:  # what does not predict is no explanation, however well it fits
-        findings += [_not_predicting(item) for item in worse]
-        bad = {item.cause for item in worse}
-        kept = [number for number, term in enumerate(fit.terms) if term.cause not in bad]
+    judged = [_judge(item, found) for item, (_, found) in zip(explained, named, strict=True)]
+    findings += [item for item, _ in judged]
+    if not all(stays for _, stays in judged):  # what does not predict is no explanation, however well it fits
+        kept = [0, *(number for number, (_, stays) in enumerate(judged, start=1) if stays)]
         fit = refit([fit.terms[number] for number in kept], fit.data, np.concatenate([fit.parts_of(at) for at in kept]))
         spread = covariance(fit)
     if left:
         findings.append(_unexplained(left, fit))
-    verdict: Verdict = "unexplained" if left or worse else "explained" if findings else "nothing_found"
+    open_ends = any(item.cause == "unexplained" for item in findings)
+    verdict: Verdict = "unexplained" if open_ends else "explained" if findings else "nothing_found"
     return Diagnosis(
         verdict=verdict,
         n=int(np.count_nonzero(series.used)),
@@ -243,18 +244,33 @@ def _explained(fit: Fit, named: list[tuple[Evidence, Named]], spread: Floats, be
     return findings
 
 
-def _not_predicting(finding: Finding) -> Finding:
-    """Return a finding whose term fits but does not predict, without its name."""
-    return replace(
-        finding,
-        cause="unexplained",
-        names=("unexplained",),
-        parameters={},
-        experiment=f"looks most like {finding.cause}, which fits but does not predict held-out blocks "
-        f"({finding.gain.nats_total:+.1f} nats); record for longer",
-        gain=Gain(0.0, 0.0, 0.0, 0.0),
-        rms_after=finding.rms_before,
-    )
+def _judge(finding: Finding, found: Named) -> tuple[Finding, bool]:
+    """Return a finding without its name where that is more than the data can carry, and whether its term stays.
+
+    A name claims that the next record will be predicted better by it, so its gain must be above 0 with confidence:
+    else it is `unexplained`, and out of the model. What happened once or a few times is its own next record: its gain
+    sits in a few blocks, whose spread tells nothing. A term that predicts but whose name was refused stays, so that
+    what else there is can be found beside it.
+    """
+    gain, name = finding.gain, finding.cause
+    lag = finding.parameters.get("lag_s")
+    if gain.nats_total <= 0:
+        why = f"which fits but does not predict held-out blocks ({gain.nats_total:+.1f} nats)"
+    elif lag is not None and lag.value < 0:
+        why = f"by {-lag.value:.3g} s the wrong way: nothing follows what has not happened yet"
+    elif found.refused:
+        return _nameless(finding, f"looks most like {name}, {found.refused}; record again to see it twice"), True
+    elif gain.low <= 0 and name not in _HAPPENED:
+        why = f"whose gain on held-out blocks may be none ({gain.low:.0f} to {gain.high:.0f} nats)"
+    else:
+        return finding, True
+    nothing = Gain(0.0, 0.0, 0.0, 0.0)
+    out = replace(finding, parameters={}, gain=nothing, rms_after=finding.rms_before)
+    return _nameless(out, f"looks most like {name}, {why}; record for longer"), False
+
+
+def _nameless(finding: Finding, text: str) -> Finding:
+    return replace(finding, cause="unexplained", names=("unexplained",), experiment=text)
 
 
 def _unexplained(left: list[Evidence], fit: Fit) -> Finding:

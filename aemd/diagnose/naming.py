@@ -47,10 +47,15 @@ class Named:
     names: tuple[str, ...]
     probability: float
     log_likelihood_gain: float
+    refused: str = ""
+    """Why the names are not to be claimed, in words that follow the first of them; empty where they are."""
 
 
 def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | None:
-    """Return the best candidate and the names it cannot be told from; None if none is worth its freedom or its name.
+    """Return the best candidate and the names it cannot be told from; None if none is worth its freedom.
+
+    What is worth its freedom but not its name comes back as well, `refused`: kept in the model, it does not hide what
+    else there is.
 
     Args:
         fit: what is explained so far.
@@ -79,9 +84,14 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
         if mass >= _CREDIBLE:
             break
     winner = residuals(best.terms, best.theta, fit.data)
-    if best.terms[-1].cause == "unexplained" or not acts_throughout(fit, winner):
-        return None
-    return Named(winner, best.terms[-1], tuple(names), weights[0] / sum(weights), gain)
+    refused = ""
+    if best.terms[-1].cause == "unexplained":
+        refused = "which explains less than what is not in the catalogue does"
+        nearest = next((rival.terms[-1].cause for rival in ranked if rival.terms[-1].cause != "unexplained"), "")
+        names = [nearest] if nearest else ["nothing of the catalogue"]
+    elif not acts_throughout(fit, winner):
+        refused = "which would act all the time, and this does not"
+    return Named(winner, best.terms[-1], tuple(names), weights[0] / sum(weights), gain, refused)
 
 
 def acts_throughout(before: Fit, after: Fit) -> bool:

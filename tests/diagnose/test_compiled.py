@@ -1,4 +1,4 @@
-"""A compiled function calls compiled functions of its own file only: numba's cache looks at no other file for changes."""
+"""What is compiled calls compiled functions of its own file only: numba's cache looks at no other file for changes."""
 
 import pkgutil
 from importlib import import_module

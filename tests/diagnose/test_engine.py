@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aemd.diagnose import COVERED, NOT_COVERED, criticise, diagnose
+from aemd.diagnose import COVERED, NOT_COVERED, Finding, Gain, Value, criticise, diagnose, engine
+from aemd.diagnose.naming import Named
 from aemd.errors import RecordingError
 from aemd.report import as_json
 from tests.diagnose.plant import clean, series, sine_nats, times
@@ -91,3 +92,45 @@ def test_a_broken_file_gets_one_line(tmp_path: Path, text: str, rule: str):
 
     assert rule in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_what_is_refused_a_name_stays_in_the_model_and_does_not_hide_the_rest():
+    """A line for 25 s of 270 s is no resonance, which would ring all the time; the other line is there all the time."""
+    shown = (times() > 30) & (times() < 55)
+    y = clean(1) + 2e-3 * np.sin(2 * np.pi * 5.1 * times()) * shown + 0.6e-3 * np.sin(2 * np.pi * 2.2 * times())
+    diagnosis = criticise(series(y))
+    refused, line = diagnosis.findings
+
+    assert diagnosis.verdict == "unexplained"
+    assert refused.cause == "unexplained"
+    assert refused.experiment.startswith("looks most like resonance")
+    assert refused.gain.nats_total > 0
+    assert "periodic_interference" in line.names
+    assert "resonance" in [term["term"] for term in diagnosis.extended_model["terms"]]
+
+
+def test_no_name_is_claimed_whose_gain_may_be_none():
+    """What acts all the time and gains in one block as much as it loses in another has not been shown to predict."""
+    gain = Gain(1e-3, 4.0, -6.0, 14.0)
+    made = finding_of("resonance", gain)
+
+    judged, stays = engine._judge(made, named())
+    assert (judged.cause, stays) == ("unexplained", False)
+    assert "looks most like resonance, whose gain on held-out blocks may be none (-6 to 14 nats)" in judged.experiment
+    assert judged.gain.nats_total == 0.0
+    assert engine._judge(finding_of("step", gain), named())[0].cause == "step"  # one step sits in one block
+
+
+def test_a_witness_that_comes_after_the_reading_is_no_cause():
+    late = {"lag_s": Value(-58.0, -60.0, -56.0, "s")}
+    judged, stays = engine._judge(finding_of("latency", Gain(1e-2, 40.0, 20.0, 60.0), late), named())
+
+    assert (judged.cause, stays) == ("unexplained", False)
+
+
+def finding_of(cause, gain, parameters=None):
+    return Finding(cause, (cause,), 1.0, 1e-6, 10.0, parameters or {}, gain, 2e-3, 1e-3, "")
+
+
+def named():
+    return Named(None, None, ("resonance",), 1.0, 12.0)
