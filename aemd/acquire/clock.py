@@ -49,6 +49,9 @@ class _Bounds:
     def width_ns(self) -> float:
         return self.latest_ns - self.earliest_ns
 
+    def copy(self) -> "_Bounds":
+        return _Bounds(self.first_index, self.origin_ns, self.index, self.earliest_ns, self.latest_ns)
+
 
 class DeviceClock:
     """The fit of one acquisition. Instants are ns of the host's monotonic clock; counts are of readings since start.
@@ -70,6 +73,7 @@ class DeviceClock:
         self._before: _Bounds | None = None
         self._now: _Bounds | None = None
         self._anchor: _Bounds | None = None
+        self._stamped: _Bounds | None = None  # as they were when all that was finished had been stamped
         self._last_t_ns: int | None = None
         self._stamped_within_ns = 0.0
 
@@ -117,7 +121,7 @@ class DeviceClock:
             self._rate_bound *= 2
             self._slowest, self._fastest = -self._rate_bound, self._rate_bound
             now.earliest_ns, now.latest_ns = earliest_ns, latest_ns
-            self._anchor = None
+            self._anchor = self._stamped = None
 
     def restart(self, index: int, asked_ns: int, answered_ns: int) -> None:
         """Sampling began anew between the two instants, with `index` as its first reading's number.
@@ -130,12 +134,13 @@ class DeviceClock:
             self._slowest = max(self._slowest - wander, -self._rate_bound)
             self._fastest = min(self._fastest + wander, self._rate_bound)
         self._run_index = index
-        self._before, self._now, self._anchor = None, _Bounds(index, origin_ns=asked_ns, index=index), None
+        self._before, self._now = None, _Bounds(index, origin_ns=asked_ns, index=index)
+        self._anchor = self._stamped = None
         self.observe(index, asked_ns, answered_ns)
 
     def forget_offset(self) -> None:
         """Begin with the next look as if nothing were known but the rate."""
-        self._before = self._now = self._anchor = None
+        self._before = self._now = self._anchor = self._stamped = None
 
     def instant(self, index: int) -> int:
         """Return the middle of the aperture of one reading, past or to come, as far as is known now."""
@@ -147,6 +152,15 @@ class DeviceClock:
         middle_ns = bounds.middle_ns if bounds.width_ns < inf else bounds.earliest_ns
         nominal_ns = bounds.origin_ns + (index - bounds.first_index) * self.interval_ns - self._delay_ns
         return round(nominal_ns + middle_ns + self.rate * (index - bounds.index) * self.interval_ns)
+
+    def next_finish(self, after_ns: int) -> int:
+        """Return when the first reading from then on is expected to be finished; `after_ns` where nothing is known."""
+        now = self._now
+        if now is None or now.width_ns == inf:
+            return after_ns
+        finish_ns = now.origin_ns + (now.index - now.first_index) * self.interval_ns + now.middle_ns
+        interval_ns = self.interval_ns * (1 + self.rate)
+        return round(finish_ns + ceil((after_ns - finish_ns) / interval_ns) * interval_ns)
 
     def stamp(self, first_index: int, count: int) -> NDArray[np.int64]:
         """Return the middles of the apertures of consecutive readings, shape (count,); strictly increasing over calls.
@@ -162,6 +176,8 @@ class DeviceClock:
             stamps_ns[:older] = self._stamp(self._before, first_index, older)
         if older < count:
             stamps_ns[older:] = self._stamp(self._now, first_index + older, count - older)
+        if first_index + count >= self._now.index:
+            self._stamped = self._now.copy()
         return stamps_ns
 
     def finished(self, asked_ns: int, answered_ns: int) -> tuple[int, int]:
@@ -185,7 +201,7 @@ class DeviceClock:
         if self._now is not None:
             self._now.earliest_ns -= readings * self.interval_ns
             self._now.latest_ns += readings * self.interval_ns
-            self._anchor = None
+            self._anchor = self._stamped = None
 
     def _since_ns(self, bounds: _Bounds, index: int, t_ns: int) -> float:
         """Return an instant relative to the nominal finish of a reading, in the frame of the bounds."""
@@ -211,12 +227,13 @@ class DeviceClock:
             self._slowest = max(self._slowest, (now.earliest_ns - anchor.latest_ns) / span_ns - wander)
             self._fastest = min(self._fastest, (now.latest_ns - anchor.earliest_ns) / span_ns + wander)
         if now.width_ns < inf and (anchor is None or now.width_ns < anchor.width_ns / 2 or span_ns > ANCHOR_NS):
-            self._anchor = _Bounds(now.first_index, now.origin_ns, now.index, now.earliest_ns, now.latest_ns)
+            self._anchor = now.copy()
 
     def _stamp(self, bounds: _Bounds, first_index: int, count: int) -> NDArray[np.int64]:
         index = np.arange(first_index, first_index + count)
         offset_ns = (index - bounds.first_index) * self.interval_ns
-        offset_ns += bounds.middle_ns + self.rate * (index - bounds.index) * self.interval_ns - self._delay_ns
+        rate, within_ns = self._between(bounds, first_index, int(index[-1]))
+        offset_ns += bounds.middle_ns + rate * (index - bounds.index) * self.interval_ns - self._delay_ns
         stamps_ns: NDArray[np.int64] = bounds.origin_ns + np.rint(offset_ns).astype(np.int64)
         held_back_ns = 0
         if self._last_t_ns is not None:
@@ -224,10 +241,25 @@ class DeviceClock:
             held_back_ns = max(0, soonest_ns - int(stamps_ns[0]))
             stamps_ns += held_back_ns
         self._last_t_ns = int(stamps_ns[-1])
-        farthest_ns = max(abs(index[0] - bounds.index), abs(index[-1] - bounds.index)) * self.interval_ns
-        within_ns = bounds.width_ns / 2 + farthest_ns * self.rate_uncertainty + held_back_ns
-        self._stamped_within_ns = max(self._stamped_within_ns, within_ns)
+        self._stamped_within_ns = max(self._stamped_within_ns, within_ns + held_back_ns)
         return stamps_ns
+
+    def _between(self, bounds: _Bounds, first: int, last: int) -> tuple[float, float]:
+        """Return the rate to carry the middle of the bounds back to the readings with, and the stamps' largest error.
+
+        What waited while nobody looked lies between two pairs of bounds; where the rate is ill known, the straight line
+        from the one to the other errs less.
+        """
+        farthest_ns = max(abs(first - bounds.index), abs(last - bounds.index)) * self.interval_ns
+        within_ns = bounds.width_ns / 2 + farthest_ns * self.rate_uncertainty
+        before = self._stamped
+        if before is None or before.first_index != bounds.first_index or not before.index <= first <= bounds.index:
+            return self.rate, within_ns
+        span_ns = (bounds.index - before.index) * self.interval_ns
+        between_ns = max(before.width_ns, bounds.width_ns) / 2 + _drift_ns(span_ns) / 4
+        if span_ns == 0 or not between_ns < within_ns:
+            return self.rate, within_ns
+        return (bounds.middle_ns - before.middle_ns) / span_ns, between_ns
 
 
 def _drift_ns(span_ns: float) -> float:

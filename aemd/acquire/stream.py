@@ -15,7 +15,7 @@ There is no thread and no clock of its own here: who waits moves the time, so a 
 
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, inf
 
 import numpy as np
 
@@ -130,6 +130,8 @@ class Stream:
         self._sampling = False
         self._is_lost = False
         self._is_probing = False
+        self._looks_are_rare = self._poll_s > instrument.interval_s
+        self._lag_ns = 0
 
     def deliveries(self) -> Iterator[Delivery]:
         """Yield what each look brought, in order, until told to stop or all is there.
@@ -171,9 +173,19 @@ class Stream:
         if not (self._left and self._room()):
             poll_s = min(self._poll_s, EAGER_POLL_S) if self._is_eager() else self._until_epoch_s()
             # From the time that was due, so that the cadence holds; from now, if that has already passed.
-            self._next_look_ns = max(now_ns, self._next_look_ns + round(poll_s * 1e9))
+            self._next_look_ns = self._aim(max(now_ns, self._next_look_ns + round(poll_s * 1e9)))
         self._told_to_stop = self._wait(max(0, self._next_look_ns - now_ns) * 1e-9)
         return self._told_to_stop
+
+    def _aim(self, due_ns: int) -> int:
+        """Put off a look, where looks are rare, until a reading is expected to be finished in the middle of it.
+
+        It comes too soon or too late, and which of the two halves what is unknown of the offset; looks at whatever
+        time would have to be as many as the interval has parts of that size.
+        """
+        if not self._looks_are_rare:
+            return due_ns
+        return self.fit.next_finish(due_ns + self._lag_ns) - self._lag_ns
 
     def _until_epoch_s(self) -> float:
         """Return the time until the next look; no look may jump over the last readings of a timing epoch.
@@ -196,6 +208,8 @@ class Stream:
         epoch = self.ledger.run_index, since // epoch_readings if epoch_readings else 0
         if epoch != self._epoch:
             self._epoch, self._eager_looks = epoch, EAGER_LOOKS
+        if self._looks_are_rare and self.fit.uncertainty_ns < inf:
+            return False  # they are aimed
         near_its_end = bool(epoch_readings) and epoch_readings - since % epoch_readings <= EAGER_BEFORE
         if self._eager_looks and (near_its_end or self.fit.uncertainty_ns > WELL_KNOWN_NS):
             self._eager_looks -= 1
@@ -205,9 +219,11 @@ class Stream:
     def _look(self) -> Delivery | None:
         """Take what is waiting as far as there is room for it."""
         self.turns += 1
+        began_ns = self._clock()
         # After a failure a single reading is risked first: a line that tears one block may tear the next.
         most = min(self._room(), self._missing(), 1 if self._is_probing else MOST_AT_ONCE)
         drain = self._instrument.drain(most)
+        self._lag_ns = (drain.asked_ns + drain.answered_ns) // 2 - began_ns
         recount = self._recount(drain)
         block, events = self.ledger.enter(drain, recount)
         self._left = drain.waiting - block.size

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import pi
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,9 @@ from numpy.typing import NDArray
 __all__ = ["DeviceClock", "SteppedClock"]
 
 _DAY_NS = 86_400 * 10**9
+
+Instants = TypeVar("Instants", float, NDArray[np.float64])
+"""One or many; of one, Python's own number is asked for ten times faster than an array without dimensions."""
 
 
 class SteppedClock:
@@ -51,7 +55,7 @@ class DeviceClock:
 
     def meter_ns(self, host_ns: int) -> int:
         """Return what the meter's clock shows, ns, so long after power on, ns."""
-        return host_ns + round(float(self._ahead_ns(np.asarray(host_ns, dtype=np.float64))))
+        return host_ns + round(float(self._ahead_ns(float(host_ns))))
 
     def host_ns(self, meter_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return when the meter's clock shows this, ns after power on, to 1 ns; any shape.
@@ -64,7 +68,7 @@ class DeviceClock:
             ahead_ns = self._ahead_ns(meter_ns - ahead_ns)
         return np.asarray(meter_ns - np.rint(ahead_ns).astype(np.int64))
 
-    def _ahead_ns(self, host_ns: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _ahead_ns(self, host_ns: Instants) -> Instants:
         ahead_ns = host_ns * 1e-6 * (self.error_ppm + 0.5 * self.drift_ppm_per_day * host_ns / _DAY_NS)
         if self.wander_ppm:
             turns_per_ns = 2 * pi / (self.wander_period_s * 1e9)

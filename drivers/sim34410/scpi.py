@@ -78,6 +78,8 @@ def parse_message(line: str) -> Iterator[Unit]:
 
 def _split(text: str, separator: str) -> list[str]:
     """Split at separators outside quotation marks."""
+    if '"' not in text and "'" not in text:
+        return text.split(separator)
     parts, quote, begin = [], "", 0
     for position, character in enumerate(text):
         if quote:
@@ -124,10 +126,11 @@ class Tree(Generic[T]):
         Raises:
             ScpiError: -113, there is none.
         """
-        key = self._key(path)
-        if key not in self._entries:
+        if path not in self._entries:
+            path = self._key(path)
+        if path not in self._entries:
             raise ScpiError(-113)
-        return self._entries[key]
+        return self._entries[path]
 
     def short(self, path: tuple[str, ...]) -> str:
         """Return a path as its short mnemonics, without SENSe and DC, which are optional wherever they are."""

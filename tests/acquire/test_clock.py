@@ -122,3 +122,30 @@ def test_truth_is_within_the_claimed_uncertainty_whatever_the_latencies_and_epoc
     assert clock.restarts == 0
     assert np.all(np.diff(stamps_ns) > 0)
     assert np.all(np.abs(instrument.errors_ns(stamps_ns)) <= uncertainty_ns + 2)
+
+
+@pytest.mark.parametrize("rate", [-100e-6, 100e-6])
+def test_looks_aimed_at_the_finish_of_a_reading_find_the_offset_by_halves(rate: float) -> None:
+    instrument = Instrument(0.0672, rate, 3000, np.random.default_rng(7), latency_s=200e-6, spikes_s=0.0)
+    clock = DeviceClock(instrument.interval_s, DELAY_S)
+    asked_ns, looks, unknown_ns = UPTIME_NS, 0, np.inf
+    while unknown_ns > 1_000_000:
+        count = int(np.searchsorted(instrument.finish_ns, asked_ns + 300_000, side="right"))
+        clock.observe(count, asked_ns, asked_ns + 600_000)
+        unknown_ns, looks = clock.uncertainty_ns, looks + 1
+        asked_ns = clock.next_finish(asked_ns + 1_000_000_000) - 300_000
+
+    # One for the first reading, one for each halving of half an interval down to 1 ms, and one for the rate's drift.
+    assert looks <= 2 + np.ceil(np.log2(33.6)) + 1
+
+
+def test_the_next_finish_is_the_first_one_from_then_on_to_within_the_uncertainty() -> None:
+    instrument = Instrument(0.0672, 50e-6, 3000, np.random.default_rng(8))
+    clock = DeviceClock(instrument.interval_s, DELAY_S)
+    assert clock.next_finish(UPTIME_NS) == UPTIME_NS
+    instrument.run(clock, 0.0415)
+    last_ns = int(instrument.finish_ns[-20])
+
+    for after_ns in range(last_ns + 2_000_000, last_ns + 67_000_000, 5_000_000):
+        error_ns = abs(clock.next_finish(after_ns) - instrument.finish_ns[-19])
+        assert error_ns <= clock.uncertainty_ns + 1.4e9 * clock.rate_uncertainty

@@ -145,6 +145,14 @@ def test_a_failure_right_after_the_return_is_one_outage_with_pauses_not_a_flood_
     assert len([event for event in passed.events if event.kind == "link"]) <= 4
 
 
+def test_looks_that_are_asked_for_to_be_rare_are_rare_and_the_clock_is_known_all_the_same() -> None:
+    passed = pass_through((), 600.0, poll_s=1.0, clock_error_ppm=100.0)
+
+    assert judge(passed).breaches == 0
+    assert passed.stream.fit.uncertainty_ns < 1_000_000
+    assert passed.stream.turns < 600 + 100  # the first reading is waited for at 2 ms, as nothing is known before it
+
+
 def test_an_instrument_without_a_way_back_ends_the_acquisition() -> None:
     clock = SteppedClock()
     bench = Bench(Meter(Slope(), clock, MeterProperties(noise=False)), clock, [Fault("close", 5.0)])

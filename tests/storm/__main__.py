@@ -1,4 +1,4 @@
-"""`python -m tests.storm --seed N [--faults 1000] [--hours 24] [--link socket]`: exit code 1 on any breach."""
+"""`python -m tests.storm --seed N [--faults 1000] [--hours 24] [--link socket] [--poll S]`: exits 1 on any breach."""
 
 import argparse
 import sys
@@ -20,6 +20,7 @@ def main() -> int:
     parser.add_argument("--faults", type=int, default=1000)
     parser.add_argument("--hours", type=float, default=24.0)
     parser.add_argument("--link", choices=get_args(Link), default="socket")
+    parser.add_argument("--poll", type=float, metavar="S", help="between two looks; 3 s without, 0.0415 in earnest")
     parser.add_argument("--kind", choices=get_args(Kind), action="append")
     asked = parser.parse_args()
     breaches = 0
@@ -31,6 +32,7 @@ def main() -> int:
                 faults,
                 asked.hours * 3600 + 60,
                 link=asked.link,
+                poll_s=asked.poll,
                 recording=Path(folder) / "storm.mcap",
                 seed=seed,
                 clock_error_ppm=100.0,

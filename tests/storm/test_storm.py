@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from aemd.acquire.stream import choose_poll_s
 from aemd.info import inspect
+from agilent34410 import Options
 from sim34410.bench import Link
 from sim34410.faults import draw_faults
 from tests.storm.judge import judge
@@ -13,12 +15,19 @@ from tests.storm.weather import pass_through
 
 
 @pytest.mark.parametrize("link", ["socket", "vxi11", "usb", "serial"])
+@pytest.mark.parametrize("poll_s", [None, pytest.param(choose_poll_s(Options().interval_s), marks=pytest.mark.slow)])
 def test_a_storm_leaves_every_reading_recorded_once_or_in_a_gap_and_every_stamp_true(
-    link: Link, tmp_path: Path
+    link: Link, poll_s: float | None, tmp_path: Path
 ) -> None:
     faults = draw_faults(seed=3, count=12, length_s=600.0, longest_s=10.0)
     passed = pass_through(
-        faults, 660.0, link=link, recording=tmp_path / "storm.mcap", clock_error_ppm=100.0, clock_drift_ppm_per_day=5.0
+        faults,
+        660.0,
+        link=link,
+        recording=tmp_path / "storm.mcap",
+        poll_s=poll_s,
+        clock_error_ppm=100.0,
+        clock_drift_ppm_per_day=5.0,
     )
     found = judge(passed)
 

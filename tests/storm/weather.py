@@ -33,8 +33,10 @@ from sim34410.simulated_link import SimulatedLink
 UTC_OFFSET_NS = 1_700_000_000_000_000_000
 ROOM = 1 << 17
 GOLDEN = 0.618033988749895
-LOOKS_EVERY = 14 + GOLDEN
-"""Intervals between two looks: a day at 15 Hz has 1.3 million readings, and a look costs as much as many readings."""
+LOOKS_EVERY = 44 + GOLDEN
+"""Intervals between two looks, 3 s: a day at 15 Hz has 1.3 million readings, and a look costs as much as 500 of them.
+
+No fault is missed by it: those of replies strike the next one, and an outage is one however soon it is seen."""
 
 
 class Slope:
@@ -100,7 +102,7 @@ def pass_through(
         options: of the driver; None for its defaults, 14.9 Hz.
         link: the interface used.
         recording: where to record, or not.
-        poll_s: time between two looks; None for `LOOKS_EVERY` intervals.
+        poll_s: time between two looks; None for `LOOKS_EVERY` intervals; `choose_poll_s` gives the real ones.
         seed: of the link's latencies.
         utc_steps: (at_s, by_s): when the host's wall clock is set, and by how much.
         give_up_s: as in the config.
