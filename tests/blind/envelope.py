@@ -64,7 +64,7 @@ SINGLE = (
 )
 """Hidden alone. Flicker noise, a random walk and a third Markov process are not among them: on records of these lengths
 the refitted base absorbs them."""
-OUTSIDE = ("ooc_packet", "ooc_bump", "ooc_echo", "ooc_gain_step")
+OUTSIDE = ("ooc_packet", "ooc_bump", "ooc_echo", "ooc_gain_step", "ooc_saw", "ooc_sweep", "ooc_breath")
 DOUBLE = ("periodic_interference", "difference_noise", "changing_noise", "quantisation", "reading_pattern", "resonance")
 
 
@@ -209,6 +209,7 @@ RANGES = {
     "shock_law": (1e-2, 0.9999),
     "ooc_echo": (1e-3, 0.9),
     "ooc_gain_step": (1e-3, 10.0),
+    "ooc_breath": (1e-3, 2.0),
 }
 
 
@@ -237,6 +238,9 @@ def draw_shape(rng: np.random.Generator, plant: Plant, cause: str) -> dict[str, 
         "ooc_packet": {"frequency_hz": frequency_hz, "time_s": span_s * middle, "width_s": span_s / 20, **phase},
         "ooc_echo": {"lag_readings": float(rng.integers(20, 60))},
         "ooc_gain_step": {"time_s": span_s * middle},
+        "ooc_saw": {"time_s": span_s * middle, "width_s": float(rng.uniform(1, 5)), "teeth": float(rng.integers(4, 9))},
+        "ooc_sweep": {"frequency_hz": rate_hz / 20, "time_s": span_s * middle, "width_s": span_s / 10},
+        "ooc_breath": {"turns": float(rng.integers(2, 6))},
         "periodic_glitch": {
             "period_s": float(rng.uniform(5, 30)),
             "width_s": float(rng.uniform(0.1, 0.4)),

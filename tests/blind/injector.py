@@ -75,6 +75,20 @@ def packet(world: World, shape: Mapping[str, float]) -> np.ndarray:
     return sine(world, shape) * bump(world, shape)
 
 
+def sawtooth_burst(world: World, shape: Mapping[str, float]) -> np.ndarray:
+    """Outside the catalogue: some teeth of a saw, each a ramp and a fall, then silence again."""
+    since = (world.t - shape["time_s"]) / shape["width_s"]
+    return np.where((since >= 0) & (since < shape["teeth"]), since % 1.0 - 0.5, 0.0)
+
+
+def sweep_once(world: World, shape: Mapping[str, float]) -> np.ndarray:
+    """Outside the catalogue: a tone that runs through the band once, its pitch doubling in even times, and stops."""
+    since = np.clip((world.t - shape["time_s"]) / shape["width_s"], 0.0, 1.0)
+    octaves = np.log(2.0) * 3.0
+    angle = 2 * pi * shape["frequency_hz"] * shape["width_s"] * np.expm1(octaves * since) / octaves
+    return np.where((since > 0) & (since < 1), np.sin(angle), 0.0)
+
+
 def glitch(world: World, shape: Mapping[str, float]) -> np.ndarray:
     return np.where((world.t - shape["start_s"]) % shape["period_s"] < shape["width_s"], 1.0, 0.0)
 
@@ -149,6 +163,8 @@ AT_INPUT: Mapping[str, Callable[[World, Mapping[str, float]], np.ndarray]] = {
     "latency": delayed,
     "ooc_packet": packet,
     "ooc_bump": bump,
+    "ooc_saw": sawtooth_burst,
+    "ooc_sweep": sweep_once,
 }
 
 
@@ -178,11 +194,18 @@ def heavy_tails(world: World, effect: Effect, white: np.ndarray, value: np.ndarr
     return sqrt(1 - effect.size) * white + sqrt(effect.size) * student
 
 
+def breathing_noise(world: World, effect: Effect, white: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Outside the catalogue: white noise whose deviation swells and fades evenly, `turns` times in the record."""
+    part = np.arange(white.size) / white.size
+    return white * np.exp(effect.size * np.sin(2 * pi * effect.shape["turns"] * part))
+
+
 NOISE: Mapping[str, Callable[[World, Effect, np.ndarray, np.ndarray], np.ndarray]] = {
     "difference_noise": difference_noise,
     "changing_noise": changing_noise,
     "signal_dependent_noise": signal_dependent_noise,
     "heavy_tails": heavy_tails,
+    "ooc_breath": breathing_noise,
 }
 
 

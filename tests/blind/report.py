@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from tests.blind.certificate import LEVEL
 from tests.blind.envelope import FACTORS
+from tests.blind.rivals import TOLD_APART
 from tests.blind.score import (
     ALONE,
     Pair,
@@ -18,6 +19,7 @@ from tests.blind.score import (
     named,
     rows,
     share_band,
+    told_apart,
 )
 
 __all__ = ["write_report"]
@@ -30,6 +32,7 @@ def write_report(pairs: Sequence[Pair], *, salt: str, key_hash: str, covered: Se
     """Return the report as Markdown."""
     singles = [pair for pair in pairs if pair.envelope.group in ALONE]
     told = [pair for pair in singles if found(pair)]
+    apart = told_apart(pairs)
     failed = [pair.answer.verdict for pair in pairs if pair.answer.verdict.startswith("failed")]
     lines = [
         "# Blind injection",
@@ -77,6 +80,10 @@ def write_report(pairs: Sequence[Pair], *, salt: str, key_hash: str, covered: Se
             for what, share in (
                 ("found, looked for, at 1.25 times or more", (sum(map(found, loud)), len(loud))),
                 ("named first, of all found", (sum(map(named, told)), len(told))),
+                (
+                    f"named first, D against the nearest rival >= {TOLD_APART}",
+                    (sum(named(p) for p, _, _ in apart), len(apart)),
+                ),
                 ("truth in the set, of all found", (sum(map(in_set, told)), len(told))),
                 ("both of two named", both_named(pairs)),
                 ("outside the catalogue: found", outside_found(pairs)),
@@ -87,8 +94,8 @@ def write_report(pairs: Sequence[Pair], *, salt: str, key_hash: str, covered: Se
             )
         ),
         "",
-        "Names are counted whether or not the data could tell the rivals apart: the D against the nearest rival is not",
-        "computed yet. Leak probe, areas under the curve (0.5 is chance): "
+        "How D against the nearest rival is computed, and for which mechanisms: tests/blind/rivals.py.",
+        "Leak probe, areas under the curve (0.5 is chance): "
         + ", ".join(f"{name} {area:.2f}" for name, area in leak(pairs).items())
         + ".",
         "",
@@ -97,6 +104,12 @@ def write_report(pairs: Sequence[Pair], *, salt: str, key_hash: str, covered: Se
         "| parameter | holds | share |",
         "| --- | --- | --- |",
         *(f"| {name} | {text(share)} | {band(share)} |" for name, share in sorted(coverage(pairs).items())),
+        "",
+        "## Misses, each",
+        "",
+        "| run | hidden | D | of the clairvoyant's amplitude | said |",
+        "| --- | --- | --- | --- | --- |",
+        *misses(pairs),
         "",
         "## What each was called first",
         "",
@@ -109,6 +122,30 @@ def write_report(pairs: Sequence[Pair], *, salt: str, key_hash: str, covered: Se
         "",
     ]
     return "\n".join(lines)
+
+
+def misses(pairs: Sequence[Pair]) -> list[str]:
+    """Return a line for each run whose first finding is not what was hidden, or that says anything of a clean one."""
+    lines = []
+    for pair in pairs:
+        envelope = pair.envelope
+        if envelope.group in ("clean", "provocative", "below"):
+            missed = found(pair)
+        elif envelope.group == "double":
+            missed = not set(pair.causes) <= {item["cause"] for item in pair.findings}
+        else:
+            missed = not named(pair) and not (
+                envelope.group == "outside" and pair.findings and pair.findings[0]["cause"] == "unexplained"
+            )
+        if missed:
+            said = "; ".join(
+                f"{item['cause']} (p {item['p_value']:.0e}, probability {item['probability']:.2f})"
+                for item in pair.findings
+            )
+            hidden = ", ".join(pair.causes) or envelope.group
+            d = ", ".join(f"{value:.0f}" for value in envelope.d_nats)
+            lines.append(f"| {envelope.number} | {hidden} | {d} | {envelope.factor:g} | {said or '(nothing)'} |")
+    return lines
 
 
 def oracle_share(pairs: Sequence[Pair]) -> str:

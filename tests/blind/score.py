@@ -18,6 +18,7 @@ from tests.blind.certificate import KINDS
 from tests.blind.envelope import Envelope
 from tests.blind.harness import Answer
 from tests.blind.plant import Effect, Plant
+from tests.blind.rivals import TOLD_APART, rival_nats
 
 __all__ = [
     "ALONE",
@@ -34,6 +35,7 @@ __all__ = [
     "named",
     "rows",
     "share_band",
+    "told_apart",
 ]
 
 ALONE = ("single", "ladder")
@@ -149,6 +151,13 @@ def both_named(pairs: Sequence[Pair]) -> tuple[int, int]:
     """Return how often both of two effects were named."""
     double = [pair for pair in pairs if pair.envelope.group == "double"]
     return share(lambda pair: set(pair.causes) <= {item["cause"] for item in pair.findings}, double)
+
+
+def told_apart(pairs: Sequence[Pair]) -> list[tuple[Pair, float, str]]:
+    """Return, of what was found of effects hidden alone, where names can be told apart, with D and the rival's name."""
+    alone = [pair for pair in pairs if pair.envelope.group in ALONE and found(pair)]
+    rivals = [(pair, rival_nats(pair.envelope.run, pair.envelope.run.effects[0])) for pair in alone]
+    return [(pair, *rival) for pair, rival in rivals if rival is not None and rival[0] >= TOLD_APART]
 
 
 def confusion(pairs: Sequence[Pair]) -> dict[str, Counter[str]]:
