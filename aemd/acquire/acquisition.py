@@ -17,9 +17,10 @@ from threading import Thread
 from types import TracebackType
 from typing import Self
 
+from aemd.acquire.cadence import choose_poll_s
 from aemd.acquire.instrument import Clock, Instrument
 from aemd.acquire.ring import Ring
-from aemd.acquire.stream import Stream, choose_poll_s
+from aemd.acquire.stream import Stream
 from aemd.block import Batch, Event
 
 __all__ = ["Acquisition", "Counts", "choose_poll_s"]

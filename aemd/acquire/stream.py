@@ -15,26 +15,19 @@ There is no thread and no clock of its own here: who waits moves the time, so a 
 
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
-from math import ceil, inf
 
 import numpy as np
 
+from aemd.acquire.cadence import Cadence
 from aemd.acquire.clock import DeviceClock
 from aemd.acquire.instrument import Clock, Drain, Instrument, Recoverable
 from aemd.acquire.ledger import Ledger
 from aemd.block import READING, Block, Event
 from aemd.errors import InstrumentError
 
-__all__ = ["Delivery", "Stream", "choose_poll_s"]
+__all__ = ["Delivery", "Stream"]
 
 MOST_AT_ONCE = 1 << 13  # 64 KiB of readings: a backlog comes in pieces, so that its first readings are not late
-GOLDEN = 0.618033988749895  # no other fraction of the interval spreads the looks' phases more evenly over it
-SHORTEST_POLL_S = 0.010  # a look costs about 0.5 ms of a core
-LONGEST_POLL_S = 0.25  # so soon a stop is heard and a failure is seen
-EAGER_POLL_S = 0.002
-EAGER_LOOKS = 500  # 1 s of them, after a start or a new epoch, until the offset is known
-EAGER_BEFORE = 2  # readings before the end of an epoch
-WELL_KNOWN_NS = 1_000_000
 PATIENCE_S = 5.0
 PATIENCE_INTERVALS = 5  # without a reading, however long an interval is
 FRESH_STARTS = 3  # of an instrument that answers and takes no readings, in a row
@@ -58,16 +51,6 @@ class Delivery:
 
 class _SilentError(InstrumentError):
     """The instrument answers and takes no readings."""
-
-
-def choose_poll_s(interval_s: float) -> float:
-    """Return the time between two looks: a golden section of the interval, or a whole fraction of it if that is long.
-
-    >>> [round(choose_poll_s(interval_s), 4) for interval_s in (1e-4, 0.1, 1.0)]
-    [0.01, 0.0618, 0.206]
-    """
-    section_s = GOLDEN * interval_s
-    return max(section_s / ceil(section_s / LONGEST_POLL_S), SHORTEST_POLL_S)
 
 
 class Stream:
@@ -112,7 +95,7 @@ class Stream:
         self._room = room
         self._is_abandoned = is_abandoned
         self._most_readings = most_readings
-        self._poll_s = choose_poll_s(instrument.interval_s) if poll_s is None else poll_s
+        self._cadence = Cadence(self.fit, instrument.interval_s, instrument.epoch_readings, poll_s)
         self._give_up_s = give_up_s
         self._clock = clock
         self._utc = utc
@@ -120,8 +103,6 @@ class Stream:
         self._utc_due_ns = 0
         self._taken = 0
         self._left = 0
-        self._epoch = (0, 0)
-        self._eager_looks = EAGER_LOOKS
         self._next_look_ns = 0
         self._newest_ns = 0
         self._fresh_starts = 0
@@ -130,8 +111,6 @@ class Stream:
         self._sampling = False
         self._is_lost = False
         self._is_probing = False
-        self._looks_are_rare = self._poll_s > instrument.interval_s
-        self._lag_ns = 0
 
     def deliveries(self) -> Iterator[Delivery]:
         """Yield what each look brought, in order, until told to stop or all is there.
@@ -157,7 +136,7 @@ class Stream:
     def _begun(self) -> None:
         self._sampling = True
         self._next_look_ns = self._newest_ns = self._clock()
-        self._eager_looks = EAGER_LOOKS
+        self._cadence.begin()
 
     def _missing(self) -> int:
         """Return how many readings are still wanted; as many as there is room for where there is no end."""
@@ -171,50 +150,9 @@ class Stream:
             return True
         now_ns = self._clock()
         if not (self._left and self._room()):
-            poll_s = min(self._poll_s, EAGER_POLL_S) if self._is_eager() else self._until_epoch_s()
-            # From the time that was due, so that the cadence holds; from now, if that has already passed.
-            self._next_look_ns = self._aim(max(now_ns, self._next_look_ns + round(poll_s * 1e9)))
+            self._next_look_ns = self._cadence.next_look_ns(now_ns, self._next_look_ns, self.ledger)
         self._told_to_stop = self._wait(max(0, self._next_look_ns - now_ns) * 1e-9)
         return self._told_to_stop
-
-    def _aim(self, due_ns: int) -> int:
-        """Put off a look, where looks are rare, until a reading is expected to be finished in the middle of it.
-
-        It comes too soon or too late, and which of the two halves what is unknown of the offset; looks at whatever
-        time would have to be as many as the interval has parts of that size.
-        """
-        if not self._looks_are_rare:
-            return due_ns
-        return self.fit.next_finish(due_ns + self._lag_ns) - self._lag_ns
-
-    def _until_epoch_s(self) -> float:
-        """Return the time until the next look; no look may jump over the last readings of a timing epoch.
-
-        Looks that are asked for to be rare are, as long as the clock is well known.
-        """
-        epoch_readings = self._instrument.epoch_readings
-        poll_s = self._poll_s
-        if self.fit.uncertainty_ns > WELL_KNOWN_NS:
-            poll_s = min(poll_s, choose_poll_s(self._instrument.interval_s))
-        if not epoch_readings:
-            return poll_s
-        left = epoch_readings - (self.ledger.next_index - self.ledger.run_index) % epoch_readings - EAGER_BEFORE
-        return min(poll_s, max(EAGER_POLL_S, left * self._instrument.interval_s))
-
-    def _is_eager(self) -> bool:
-        """Tell whether to look often for a while: a timing epoch is about to begin or has begun and is ill known."""
-        epoch_readings = self._instrument.epoch_readings
-        since = self.ledger.next_index - self.ledger.run_index
-        epoch = self.ledger.run_index, since // epoch_readings if epoch_readings else 0
-        if epoch != self._epoch:
-            self._epoch, self._eager_looks = epoch, EAGER_LOOKS
-        if self._looks_are_rare and self.fit.uncertainty_ns < inf:
-            return False  # they are aimed
-        near_its_end = bool(epoch_readings) and epoch_readings - since % epoch_readings <= EAGER_BEFORE
-        if self._eager_looks and (near_its_end or self.fit.uncertainty_ns > WELL_KNOWN_NS):
-            self._eager_looks -= 1
-            return True
-        return False
 
     def _look(self) -> Delivery | None:
         """Take what is waiting as far as there is room for it."""
@@ -223,7 +161,7 @@ class Stream:
         # After a failure a single reading is risked first: a line that tears one block may tear the next.
         most = min(self._room(), self._missing(), 1 if self._is_probing else MOST_AT_ONCE)
         drain = self._instrument.drain(most)
-        self._lag_ns = (drain.asked_ns + drain.answered_ns) // 2 - began_ns
+        self._cadence.note_lag((drain.asked_ns + drain.answered_ns) // 2 - began_ns)
         recount = self._recount(drain)
         block, events = self.ledger.enter(drain, recount)
         self._left = drain.waiting - block.size
@@ -395,7 +333,7 @@ class Stream:
             elif self._is_abandoned():
                 return
             else:
-                self._wait(self._poll_s)
+                self._wait(self._cadence.poll_s)
 
     def _miss(self, why: str) -> Iterator[Delivery]:
         if self._missing() > 0:

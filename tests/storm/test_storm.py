@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aemd.acquire.stream import choose_poll_s
+from aemd.acquire.cadence import choose_poll_s
 from aemd.info import inspect
 from agilent34410 import Options
 from sim34410.bench import Link
