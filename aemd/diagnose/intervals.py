@@ -1,4 +1,10 @@
-"""Intervals of the reported parameters, from the readings' own scores."""
+"""Intervals of the reported parameters, from the readings' own scores.
+
+A slow term (a warm-up, a temperature's share) is uncertain by what the drift may have done meanwhile, and a record of a
+few turns of the drift says little of it: the most likely one is often too small or too short, of which little is left
+at low frequencies, and intervals that take it as given are too short. So the drift is integrated out wherever such a
+term stands beside a fitted base.
+"""
 
 from collections.abc import Mapping
 from math import exp, inf, log, sqrt
@@ -6,8 +12,8 @@ from math import exp, inf, log, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from aemd.diagnose.fit import Fit, densities, readings_scores
-from aemd.diagnose.hypothesis import Parameter
+from aemd.diagnose.fit import Fit, climb, densities, readings_scores, residuals
+from aemd.diagnose.hypothesis import Base, Parameter
 from aemd.diagnose.result import Value
 
 __all__ = ["covariance", "describe"]
@@ -15,8 +21,91 @@ __all__ = ["covariance", "describe"]
 Floats = NDArray[np.float64]
 
 
+_SLOW = ("step", "warmup_drift", "thermal_drift", "latency")
+"""What a drift can pass for, in part."""
+_LONG = 10_000
+"""Readings beyond which the drift is known well enough."""
+_DRIFT_TAUS = (0.1, 0.4, 2.0)
+"""Time constants of the drift that are tried, in spans of the record; what is longer looks the same."""
+_DRIFT_STEP = log(2.0)
+"""From one rate of the drift to the next."""
+_UNLIKELY = 4.0
+"""Nats below the best from which a rate is left out."""
+_UNSEEN = 0.1
+"""Of the deviation of an innovation: what the drift goes in the whole record, below which it is none."""
+_MOST_STEPS = 4
+_CLIMB = 3
+
+
 def covariance(fit: Fit) -> Floats:
-    """Return the covariance of the free numbers: the inverse of the outer product of scores, shape (k, k)."""
+    """Return the covariance of the free numbers about their most likely values, shape (k, k)."""
+    slow = any(term.cause in _SLOW for term in fit.terms[1:])
+    if not slow or fit.data.n > _LONG or not isinstance(fit.terms[0], Base):
+        return _given_the_drift(fit)
+    tries = _drifts(fit)
+    highest = max(log_weight for log_weight, _, _ in tries)
+    weights = np.array([exp(log_weight - highest) for log_weight, _, _ in tries])
+    weights /= weights.sum()
+    total = np.zeros((fit.theta.size, fit.theta.size))
+    for weight, (_, theta, within) in zip(weights, tries, strict=True):
+        apart = theta - fit.theta
+        total += weight * (within + np.outer(apart, apart))
+    return total
+
+
+def describe(fit: Fit, number: int, spread: Floats) -> Mapping[str, Value]:
+    """Return the reported parameters of one term with 95 % intervals, by the delta method."""
+    begin = sum(term.start.size for term in fit.terms[:number])
+    term, theta = fit.terms[number], fit.parts_of(number)
+    own = spread[begin : begin + theta.size, begin : begin + theta.size]
+    return {parameter.name: _value(parameter, theta, own) for parameter in term.parameters(fit.data)}
+
+
+def _drifts(fit: Fit) -> list[tuple[float, Floats, Floats]]:
+    """Return, for drifts that the readings allow, log weight, free numbers and their covariance.
+
+    The weight is the likelihood, the term's numbers integrated out by Laplace's approximation, under a prior that is
+    even in the logarithm of the drift's time constant and even in its rate: one that is even in the logarithm of that
+    would put everything at no drift at all.
+    """
+    base, span_s = fit.base, fit.data.span_s
+    slow = 2 if fit.theta[2] >= fit.theta[0] else 0
+    low, high = base.box[slow + 1]
+    sd = sqrt(float(np.median(fit.variance[fit.data.used])))
+    unseen = max(log(_UNSEEN * sd / sqrt(span_s)), low)
+    begin = max(float(fit.theta[slow + 1]), unseen)
+    tries: list[tuple[float, Floats, Floats]] = []
+
+    def weigh(tau: float, rate: float, near: Floats) -> tuple[float, Floats]:
+        pinned = {slow: (tau, tau), slow + 1: (rate, rate)}
+        box = tuple(pinned.get(number, bound) for number, bound in enumerate(base.box))
+        terms = [Base(base.start, base.shocks, box), *fit.terms[1:]]
+        there = residuals(terms, climb(terms, near, fit.data, _CLIMB)[0], fit.data)
+        within = _given_the_drift(there)
+        own = within[base.start.size :, base.start.size :]
+        certain = np.diag(own) <= 0  # on a bound
+        _, volume = np.linalg.slogdet(own + np.diag(np.where(certain, 1.0, 1e-9 * np.diag(own))))
+        tries.append((there.log_likelihood + rate + 0.5 * float(volume), there.theta, within))
+        return there.log_likelihood, there.theta
+
+    top = fit.log_likelihood
+    for tau in {float(fit.theta[slow]), *(log(part * span_s) for part in _DRIFT_TAUS)}:
+        here, middle = weigh(tau, begin, fit.theta)
+        for direction in (1.0, -1.0):
+            near, last = middle, here
+            for count in range(1, _MOST_STEPS + 1):
+                rate = begin + direction * count * _DRIFT_STEP
+                if not unseen <= rate <= high:
+                    break
+                now, near = weigh(tau, rate, near)
+                if now < min(last, top - _UNLIKELY):
+                    break
+                last = now
+    return tries
+
+
+def _given_the_drift(fit: Fit) -> Floats:
+    """Return the covariance at a maximum: the inverse of the outer product of scores."""
     low, high = np.array([bound for term in fit.terms for bound in term.bounds], np.float64).reshape(-1, 2).T
     here = densities(fit.terms, fit.theta, fit.data)
     scores = readings_scores(fit.terms, fit.theta, fit.data, here, high)
@@ -28,14 +117,6 @@ def covariance(fit: Fit) -> Floats:
     inner = (information / np.outer(scale, scale))[np.ix_(kept, kept)] + 1e-9 * np.eye(kept.size)
     covered[np.ix_(kept, kept)] = np.linalg.pinv(inner)
     return np.asarray(covered / np.outer(scale, scale))
-
-
-def describe(fit: Fit, number: int, spread: Floats) -> Mapping[str, Value]:
-    """Return the reported parameters of one term with 95 % intervals, by the delta method."""
-    begin = sum(term.start.size for term in fit.terms[:number])
-    term, theta = fit.terms[number], fit.parts_of(number)
-    own = spread[begin : begin + theta.size, begin : begin + theta.size]
-    return {parameter.name: _value(parameter, theta, own) for parameter in term.parameters(fit.data)}
 
 
 def _value(parameter: Parameter, theta: Floats, spread: Floats) -> Value:
