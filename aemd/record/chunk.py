@@ -9,7 +9,7 @@ And the other way: rows packed into a chunk with its message indexes.
 
 import struct
 from collections.abc import Container, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from aemd.record.unpack import BadChunkError, unpack
 __all__ = ["BadChunkError", "Contents", "FullIndexes", "MessageKind", "decode_chunk", "encode_chunk", "open_chunk"]
 
 _FRAME = struct.Struct("<BQ")  # opcode, length of what follows
+_DATA_LENGTH = struct.Struct("<Q")
 _HEAD = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("times", "<u8", 2)])
 _INDEX = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 _SEQUENCES = 1 << 32
@@ -147,10 +148,11 @@ def encode_chunk(
         uncompressed_crc=crc32(octets),
         uncompressed_size=len(octets),
     )
-    chunk, indexes = encode(head), _index_records(rows)
-    index = _chunk_index(head, indexes, offset, len(chunk), offset + len(chunk))
+    begin, indexes = _until_data(head), _index_records(rows)
+    length = len(begin) + len(head.data)
+    index = _chunk_index(head, indexes, offset, length, offset + length)
     counts = {channel: len(rows.start[mine]) for channel, mine in rows.places().items()}
-    return b"".join([chunk, *indexes.values()]), index, counts
+    return b"".join([begin, head.data, *indexes.values()]), index, counts
 
 
 class FullIndexes:
@@ -176,6 +178,15 @@ class FullIndexes:
 
 class _Misplaced(Exception):  # noqa: N818 - never leaves this file
     """Where a message of this channel should begin there is none."""
+
+
+def _until_data(chunk: Chunk) -> bytes:
+    """Return the Chunk record up to its data, which the mcap package would copy three times."""
+    empty = encode(replace(chunk, data=b""))
+    length = len(empty) - _FRAME.size + len(chunk.data)
+    return (
+        _FRAME.pack(Opcode.CHUNK, length) + empty[_FRAME.size : -_DATA_LENGTH.size] + _DATA_LENGTH.pack(len(chunk.data))
+    )
 
 
 def _index_records(rows: Rows) -> dict[int, bytes]:
