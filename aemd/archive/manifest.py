@@ -1,7 +1,7 @@
 """The manifest beside an archive's results: what was made of which file, so that a rerun makes only what is missing."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 
 from aemd import __version__
@@ -27,7 +27,7 @@ class Entry:
     readings: int
     estimates: int
     asked: Mapping[str, str]
-    """The estimator that was asked for, with its options; empty for the recorded one."""
+    """What was asked for: the estimator with its options, topic, field and time; empty for what is recorded."""
     before_sha256: str
     """Of the state that the estimator had before the file's first reading; "" for none."""
     state_sha256: str
@@ -41,6 +41,8 @@ class Manifest:
 
     folder: Place
     entries: dict[str, Entry] = field(default_factory=dict)
+    begun: set[str] = field(default_factory=set)
+    """Names whose results are ours though no entry tells of them yet: what a kill leaves behind may be replaced."""
 
     @classmethod
     def load(cls, folder: Place) -> "Manifest":
@@ -53,11 +55,33 @@ class Manifest:
         if text is None:
             return cls(folder)
         try:
-            return cls(folder, {name: Entry(**entry) for name, entry in json.loads(text)["files"].items()})
+            told = json.loads(text)
+            entries = {name: Entry(**entry) for name, entry in told["files"].items()}
+            return cls(folder, entries, {str(name) for name in told.get("begun", [])})
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise RecordingError(
                 f"{folder.url}/{NAME}: is no manifest of an archive; choose another folder, or move it away"
             ) from error
+
+    def begin(self, names: Iterable[str]) -> None:
+        """Note, and write, which results are about to be made, before there is any.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+        made = {name for name in names if name not in self.entries and not (self.folder / name).stamp()}
+        if not made <= self.begun:
+            self.begun |= made
+            self.save()
+
+    def end(self) -> None:
+        """Write that nothing is under way any more.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+        self.begun = {name for name in self.begun - self.entries.keys() if (self.folder / name).stamp()}
+        self.save()
 
     def save(self) -> None:
         """Write it, in one step.
@@ -66,7 +90,8 @@ class Manifest:
             RecordingError: it cannot be written.
         """
         files = {name: asdict(entry) for name, entry in sorted(self.entries.items())}
-        (self.folder / NAME).write_text(json.dumps({"files": files}, indent=1) + "\n")
+        begun = {"begun": sorted(self.begun)} if self.begun else {}
+        (self.folder / NAME).write_text(json.dumps({"files": files} | begun, indent=1) + "\n")
 
     def holds(self, name: str, out: Place, source: Place, asked: Mapping[str, str], before_sha256: str) -> bool:
         """Tell whether the result is there, made by this version from this file, state and estimator, and unchanged.
@@ -85,7 +110,7 @@ class Manifest:
 
     def made(self, name: str, out: Place) -> bool:
         """Tell whether what is at the place of a result may be replaced: there is nothing, or it is one."""
-        return name in self.entries or not out.stamp()
+        return name in self.entries or name in self.begun or not out.stamp()
 
 
 def _is_unchanged(place: Place, stamp: str, sha256: str) -> bool:

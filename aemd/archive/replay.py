@@ -8,7 +8,7 @@ and go in parallel. States are kept beside the results, so that what is added to
 import time
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -91,13 +91,16 @@ def replay_archive(
     asked = {} if choice is None else choice.as_text()
     if estimator is not None:
         asked["asked"] = estimator
+    selection = selection or Selection()
+    asked |= {f"selected {name}": text for name, text in asdict(selection).items() if text is not None}
     files = find(pattern, besides=folder)
     runs = find_runs(files)
     manifest = Manifest.load(folder)
-    make = _Maker(folder, choice, estimator, asked, selection or Selection())
+    manifest.begin(found.name for found in files)
+    make = _Maker(folder, choice, estimator, asked, selection)
     with counting("files", console) as bar, workers(jobs, scheduler) as executor:
         done = _Loop(executor, manifest, make, bar, len(files)).go(runs)
-    manifest.save()
+    manifest.end()
     folder.tidy()
     return ArchiveSummary(
         archive=pattern,

@@ -3,6 +3,8 @@
 import json
 import os
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from aemd.archive.places import Place
 from aemd.archive.state import load_state
 from aemd.errors import RecordingError, UsageError
 from aemd.estimate.registry import ESTIMATORS
+from aemd.record.source import Selection
 from aemd.replay import replay
 from tests.archive.made import estimates_in, readings_of, write, write_segments
 
@@ -86,6 +89,42 @@ def test_a_rerun_makes_only_what_is_missing_or_changed_and_what_follows_it(tmp_p
     assert (touched.replayed, touched.unchanged) == (0, 5)
     assert unchanged == before
     assert (followed.replayed, followed.unchanged) == (2, 3)
+
+
+def test_after_a_kill_the_rest_is_made_and_what_was_made_is_no_stranger(tmp_path: Path) -> None:
+    for number in range(12):
+        write(tmp_path / "in" / f"{number:02}.mcap", readings_of(20_000, seed=number))
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "aemd", "replay", str(tmp_path / "in"), "-o", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as killed:
+        while not (made := list(out.glob("*.mcap"))) and killed.poll() is None:
+            os.sched_yield()
+        killed.kill()
+    assert made
+
+    done = replay_archive(str(tmp_path / "in"), str(out))
+
+    assert (done.replayed + done.unchanged, done.failed) == (12, ())
+    assert set(json.loads((out / "manifest.json").read_text())) == {"files"}
+    (out / "00.mcap").unlink()
+    replay_archive(str(tmp_path / "in"), str(tmp_path / "whole"))
+    replay_archive(str(tmp_path / "in"), str(out))
+    for path in sorted((tmp_path / "whole").glob("*.mcap")):
+        assert path.read_bytes() == (out / path.name).read_bytes()
+
+
+def test_another_topic_is_another_result(tmp_path: Path) -> None:
+    write(tmp_path / "in" / "a.mcap", readings_of(300), estimator="kalman")
+    (tmp_path / "two").mkdir()
+    replay(tmp_path / "in" / "a.mcap", out=tmp_path / "two" / "a.mcap")
+    source, out = str(tmp_path / "two"), str(tmp_path / "out")
+
+    for topic in ("/dmm/raw", "/dmm/filtered"):
+        done = replay_archive(source, out, estimator="kalman", selection=Selection(topic=topic, field="value"))
+        assert (done.replayed, done.failed) == (1, ())
+    again = replay_archive(source, out, estimator="kalman", selection=Selection(topic="/dmm/filtered", field="value"))
+
+    assert again.unchanged == 1
 
 
 def test_a_file_that_is_added_to_a_run_goes_on_from_its_end(tmp_path: Path) -> None:
