@@ -5,7 +5,10 @@ Nothing is sent to a serial port or a USB device, which may be anything; a host 
 
 import os
 import socket
+import subprocess
+import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
@@ -13,6 +16,7 @@ from threading import Thread
 __all__ = ["Device", "list_devices"]
 
 PORT = 5025  # of a raw SCPI socket, by its entry in the IANA list
+HIGHEST_PORT = 65_535
 LONGEST_ANSWER = 256
 SYSFS = Path("/sys/bus/usb/devices")
 USB_TMC = ("fe", "03")  # class and subclass of the interface (USBTMC 1.00, table 43)
@@ -47,7 +51,7 @@ def list_devices(
     listed: list[str] = []
     searches = [Thread(target=_ask_host, args=(host, timeout_s, named), daemon=True) for host in hosts]
     if search:
-        searches.append(Thread(target=_list_resources, args=(listed,), daemon=True))
+        searches.append(Thread(target=_list_resources, args=(listed, timeout_s), daemon=True))
     for one in searches:
         one.start()
     usb = _list_usb(usb_tree)
@@ -63,19 +67,13 @@ def list_devices(
     ]
 
 
-def _list_resources(listed: list[str]) -> None:
-    import warnings  # noqa: PLC0415
-
-    import pyvisa  # noqa: PLC0415 - slow to import, and only this search needs it
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it misses optional packages
-        try:
-            manager = pyvisa.ResourceManager("@py")
-            listed += manager.list_resources("?*")
-            manager.close()
-        except Exception:  # noqa: BLE001 - a search that fails has found nothing; pyvisa-py raises anything
-            return
+def _list_resources(listed: list[str], timeout_s: float) -> None:
+    """Let a process of its own search: pyvisa-py leaves its broadcasts' sockets open, and cannot be told to end."""
+    search = "import pyvisa; print(*pyvisa.ResourceManager('@py').list_resources('?*'), sep='\\n')"
+    command = [sys.executable, "-W", "ignore", "-c", search]
+    with suppress(subprocess.TimeoutExpired):  # then nothing was found in time
+        found = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False)  # noqa: S603 - our own
+        listed += found.stdout.split()
 
 
 def _name(resource: str) -> Device:
@@ -96,7 +94,7 @@ def _serial(resource: str) -> Device:
 def _ask_host(host: str, timeout_s: float, named: list[Device]) -> None:
     name, _, port = host.partition(":")
     try:
-        number = int(port) if port else PORT
+        number = _port(port)
         with socket.create_connection((name, number), timeout=timeout_s) as line:
             line.sendall(b"*IDN?\n")
             answer = b""
@@ -111,6 +109,14 @@ def _ask_host(host: str, timeout_s: float, named: list[Device]) -> None:
         return
     said = answer.decode("ascii", errors="backslashreplace").strip()
     named.append(Device(f"TCPIP0::{name}::{number}::SOCKET", "LAN", said or host))
+
+
+def _port(text: str) -> int:
+    if not text:
+        return PORT
+    if not (text.isascii() and text.isdigit() and 0 < int(text) <= HIGHEST_PORT):
+        raise ValueError(f"{text!r} is not a port, which is a number from 1 to {HIGHEST_PORT}")
+    return int(text)
 
 
 def _list_usb(tree: Path) -> list[Device]:
