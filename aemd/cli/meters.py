@@ -25,7 +25,10 @@ def devices(
     if json:
         print(as_json({"devices": found}))
         return
-    table = Table("resource", "link", "what", "hint", title=f"{len(found)} found")
+    table = Table(title=f"{len(found)} found")
+    for heading in ("resource", "link", "what", "hint"):
+        # A resource is there to be copied: on one line, whatever becomes of the others, and never cut short.
+        table.add_column(heading, overflow="fold", no_wrap=heading == "resource")
     for device in found:
         table.add_row(device.resource, device.link, device.found, device.hint)
     Console().print(table)
@@ -64,7 +67,9 @@ def doctor(
     if json:
         print(as_json(found))
     else:
-        table = Table("", "check", "found", "what to do", title=found.resource)
+        table = Table(title=found.resource)
+        for heading in ("", "check", "found", "what to do"):
+            table.add_column(heading, overflow="fold")
         for check in found.checks:
             table.add_row("ok" if check.ok else "NO", check.name, check.found, check.advice)
         Console().print(table)

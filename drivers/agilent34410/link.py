@@ -285,7 +285,7 @@ class _VisaLink:
                     what += ", and the other end has closed the connection"
                     self._close(dead=True)
             else:
-                what = (getattr(error, "strerror", None) or _one_line(error)).lower()
+                what = (getattr(error, "strerror", None) or _one_line(error)).lower().rstrip(".")
                 if trying or not _is_nonsense(error):
                     self._close(dead=True)
             raise InstrumentError(

@@ -56,3 +56,11 @@ def test_a_named_host_is_asked_who_it_is_and_a_silent_or_absent_one_is_told_of(t
     said = {device.resource or device.found: device for device in found}
     assert said[f"TCPIP0::127.0.0.1::{ports[0]}::SOCKET"].found == "Agilent Technologies,34410A,MY1,2.35"
     assert "refused" in said["127.0.0.1:1"].hint
+
+
+@pytest.mark.parametrize("port", ["abc", "0", "65536", "-1", "\uff15"])
+def test_what_is_no_port_is_said_to_be_none(port: str, tmp_path: Path) -> None:
+    (found,) = list_devices(1.0, (f"127.0.0.1:{port}",), usb_tree=tmp_path, search=False)
+
+    assert found.resource == ""
+    assert f"{port!r} is not a port, which is a number from 1 to 65535" in found.hint

@@ -135,3 +135,15 @@ def test_a_peer_that_never_ends_its_line_is_refused(aemd: Run, tmp_path: Path) -
         code, out, err = aemd("acquire", config, "--seconds", 1, "--out", tmp_path)
 
     assert "no end of line" in refused(code, err, out, 1)
+
+
+def test_the_resource_of_a_device_is_whole_on_one_line_of_a_narrow_terminal(
+    aemd: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    with talking(b"Agilent Technologies,34410A,MY47006594,2.35-2.35-0.09-46-09\n") as resource:
+        _, host, port, _ = resource.split("::")
+        code, out, _ = aemd("devices", "--timeout", 2, "--host", f"{host}:{port}")
+
+    assert code == 0
+    assert resource in out
