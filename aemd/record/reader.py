@@ -30,7 +30,7 @@ from aemd.record.walk import Record, has_end, parse, walk
 __all__ = ["Recording", "Statistics", "open_map"]
 
 _CRC_BYTES = 4
-_CRC_PIECE_BYTES = 1 << 20  # at a time, so that a file of any size takes no memory
+_CRC_PIECE_BYTES = 4 << 20  # at a time, and more than the kernel maps around a byte that is read
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,10 +183,13 @@ class Recording:
         return self._count()
 
     def _crc(self, begin: int, end: int) -> int:
-        """Return the CRC32 of a stretch of the file, read piece by piece."""
+        """Return the CRC32 of a stretch of the file."""
         crc = 0
         for at in range(begin, end, _CRC_PIECE_BYTES):
             crc = crc32(self._map[at : min(at + _CRC_PIECE_BYTES, end)], crc)
+            # What lies behind is given back to the kernel: else the whole file would count as this program's memory.
+            behind = max(at - _CRC_PIECE_BYTES, 0) // mmap.PAGESIZE * mmap.PAGESIZE
+            self._map.madvise(mmap.MADV_DONTNEED, behind, at - at % mmap.PAGESIZE - behind)
         return crc
 
     def _count(self) -> Statistics:

@@ -44,3 +44,24 @@ def test_a_file_that_is_read_through_does_not_become_this_programs_memory(tmp_pa
     assert path.stat().st_size > 45 * MEGABYTE
     assert after_opening < 12 * MEGABYTE
     assert 0 < most < 16 * MEGABYTE
+
+
+def _status_bytes(name: str) -> int:
+    """Return a figure of the kernel's about this process."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) * 1024 for line in lines if line.startswith(f"{name}:"))
+
+
+def test_a_file_that_is_held_against_its_checksum_does_not_either(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "r.mcap", Description(), compression="none")
+    recorder.write(Batch(readings_of(800_000)), np.empty(0, ESTIMATE))
+    path = recorder.close()
+
+    with Recording(path) as recording:
+        before = _status_bytes("VmRSS")
+        Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
+        recording.verify()
+        peak = _status_bytes("VmHWM")
+
+    assert path.stat().st_size > 45 * MEGABYTE
+    assert peak - before < 20 * MEGABYTE
