@@ -47,7 +47,7 @@ def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[float, F
     parts = Parts(np.zeros(data.y.size), np.zeros(data.y.size), np.ones(data.y.size))
     for term, numbers in zip(terms, split(terms, theta), strict=True):
         term.add(numbers, data, parts)
-    states = np.array(parts.states, np.float64)
+    states = np.array(parts.states, np.float64).reshape(-1, 6)  # of white noise alone there is none
     arguments = (parts.mean, parts.noise_var, parts.scale, states, parts.shocks, parts.extras)
     return parts.kept, parts.telegraph, arguments
 
