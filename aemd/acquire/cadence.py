@@ -17,7 +17,7 @@ SHORTEST_POLL_S = 0.010  # a look costs about 0.5 ms of a core
 LONGEST_POLL_S = 0.25  # so soon a stop is heard and a failure is seen
 EAGER_POLL_S = 0.002
 EAGER_LOOKS = 500  # 1 s of them, after a start or a new epoch, until the offset is known
-EAGER_BEFORE = 2  # readings before the end of an epoch
+EAGER_BEFORE = 2  # readings before the end of an epoch; an aimed look comes up to one later than it is due
 WELL_KNOWN_NS = 1_000_000
 
 
@@ -69,8 +69,9 @@ class Cadence:
             ledger: where the stream is.
         """
         since = ledger.next_index - ledger.run_index
-        poll_s = min(self.poll_s, EAGER_POLL_S) if self._is_eager(ledger.run_index, since) else self._calm_s(since)
-        next_ns = max(now_ns, due_ns + round(poll_s * 1e9))
+        if self._is_eager(ledger.run_index, since):
+            return max(now_ns, due_ns + round(min(self.poll_s, EAGER_POLL_S) * 1e9))
+        next_ns = max(now_ns, due_ns + round(self._calm_s(since) * 1e9))
         return self._fit.next_finish(next_ns + self._lag_ns) - self._lag_ns if self._is_rare else next_ns
 
     def _calm_s(self, since: int) -> float:
@@ -91,11 +92,11 @@ class Cadence:
         epoch = run_index, since // self._epoch_readings if self._epoch_readings else 0
         if epoch != self._epoch:
             self._epoch, self._eager_looks = epoch, EAGER_LOOKS
-        if self._is_rare and self._fit.uncertainty_ns < inf:
-            return False  # they are aimed
         near_its_end = (
             bool(self._epoch_readings) and self._epoch_readings - since % self._epoch_readings <= EAGER_BEFORE
         )
+        if self._is_rare and self._fit.uncertainty_ns < inf and not near_its_end:
+            return False  # they are aimed
         if self._eager_looks and (near_its_end or self._fit.uncertainty_ns > WELL_KNOWN_NS):
             self._eager_looks -= 1
             return True

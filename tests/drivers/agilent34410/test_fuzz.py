@@ -3,6 +3,7 @@
 import os
 from contextlib import suppress
 
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -16,6 +17,8 @@ from sim34410.simulated_link import SimulatedLink
 from tests.storm.weather import Slope
 
 EXAMPLES = int(os.environ.get("AEMD_FUZZ", "40"))
+
+pytestmark = pytest.mark.timeout(120 if EXAMPLES <= 40 else 0)  # s; who asks for more wants them all
 
 NUMBERS = st.sampled_from(
     ["nan", "inf", "-inf", "1e400", "-1", "+0", "9.9E37", "", "+1;+2", "1e-400", "0x10", "½", "٣"]
