@@ -25,8 +25,8 @@ def test_an_acquisition_leaves_a_finished_recording_and_a_summary_that_agrees_wi
     found = json.loads(out)
     assert code == 0
     assert list(found) == [
-        "file", "readings", "lost", "not_written", "gaps", "outages", "rate_hz", "duration_s", "estimator", "raw_variance_V2",
-        "estimate_variance_V2",
+        "file", "readings", "lost", "not_written", "gaps", "outages", "rate_hz", "duration_s", "estimator",
+        "raw_variance_V2", "estimate_variance_V2",
     ]  # fmt: skip
     assert (found["readings"], found["lost"], found["gaps"], found["estimator"]) == (500, 0, 0, "aem")
     assert found["rate_hz"] == pytest.approx(500, rel=0.1)  # one second; on a busy machine its ends are known to 20 ms
