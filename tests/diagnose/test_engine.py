@@ -27,7 +27,7 @@ def test_clean_records_have_no_finding(shocks_per_s):
 @pytest.mark.parametrize(
     ("frequency_hz", "cause"), [(50.01, "mains_alias"), (59.99, "mains_alias"), (2.345, "periodic_interference")]
 )
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_line_is_found_named_and_worth_what_an_oracle_gains(frequency_hz, cause, seed):
     """D = 60 nats: the gain on held-out blocks is D less a few, with deviation sqrt(2 D) = 11."""
     shown = abs(frequency_hz - 14.9 * round(frequency_hz / 14.9))
@@ -109,16 +109,17 @@ def test_what_is_refused_a_name_stays_in_the_model_and_does_not_hide_the_rest():
     assert "resonance" in [term["term"] for term in diagnosis.extended_model["terms"]]
 
 
-def test_no_name_is_claimed_whose_gain_may_be_none():
-    """What acts all the time and gains in one block as much as it loses in another has not been shown to predict."""
-    gain = Gain(1e-3, 4.0, -6.0, 14.0)
-    made = finding_of("resonance", gain)
+def test_no_name_is_claimed_that_predicts_held_out_blocks_worse():
+    judged, stays = engine._judge(finding_of("resonance", Gain(-1e-3, -4.0, -14.0, 6.0)), named())
 
-    judged, stays = engine._judge(made, named())
     assert (judged.cause, stays) == ("unexplained", False)
-    assert "looks most like resonance, whose gain on held-out blocks may be none (-6 to 14 nats)" in judged.experiment
+    assert "looks most like resonance, which fits but does not predict held-out blocks (-4.0 nats)" in judged.experiment
     assert judged.gain.nats_total == 0.0
-    assert engine._judge(finding_of("step", gain), named())[0].cause == "step"  # one step sits in one block
+
+
+def test_what_is_just_large_enough_to_be_seen_keeps_its_name():
+    """Of 12 nats found, some 4 on held-out blocks with deviation 5 is what one must expect."""
+    assert engine._judge(finding_of("resonance", Gain(1e-3, 4.0, -6.0, 14.0)), named())[0].cause == "resonance"
 
 
 def test_a_witness_that_comes_after_the_reading_is_no_cause():

@@ -106,7 +106,7 @@ another), and the relative error that four deviations at 30 nats, 4/sqrt(60), an
 between parameters allow."""
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("cause", CAUSES)
 def test_what_was_planted_is_found_and_named(found, cause, seed):
     findings = found(cause, seed)
