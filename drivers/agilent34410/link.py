@@ -12,6 +12,7 @@ What was measured of pyvisa-py 0.8 and is guarded against here:
 - Clearing a socket whose other end is closed never returns. So a socket is drained here, with an end in sight.
 - VXI-11 connects within 100 ms unless told otherwise. So the open timeout is always given.
 - A VXI-11 read subtracts the time so far once for each piece. So a block is asked for in one piece, and is small.
+- A VXI-11 link that cannot be made leaves its socket to the garbage collector. So the socket is closed here.
 - Closing a VXI-11 link to a dead peer blocks for 5 s. So a dead link's socket is shut before it is closed.
 - USB-TMC has no clear. So it is written out (`agilent34410.usbtmc`).
 - Without the socket option TCP_NODELAY, which has no VISA attribute that works, a question after a mere command waits
@@ -27,6 +28,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from threading import Lock
+from traceback import walk_tb
 from typing import Any, Protocol, cast
 
 import pyvisa
@@ -160,6 +162,7 @@ class _VisaLink:
             _find_host(resource)
             opened = manager.open_resource(resource, open_timeout=timeout_ms, **attributes)
         except Exception as error:
+            _close_sockets_left_by(error)
             _manager.leave()
             raise InstrumentError(
                 f"{resource}: cannot open: {_one_line(error)}; is it a VISA resource such as"
@@ -351,6 +354,18 @@ def _size(digits: bytes, most: int) -> int:
 def _is_nonsense(error: Exception) -> bool:
     """Tell whether it came of what was read rather than of the line; a device that is gone is a ValueError, too."""
     return (type(error) is ValueError and "[Errno" not in str(error)) or isinstance(error, UnicodeError)
+
+
+def _close_sockets_left_by(error: BaseException) -> None:
+    """Close the sockets of pyvisa-py's objects that `error` came through: nobody else has them any more."""
+    failure: BaseException | None = error
+    while failure is not None:
+        for frame, _line in walk_tb(failure.__traceback__):
+            owner = frame.f_locals.get("self")
+            left = getattr(getattr(owner, "interface", owner), "sock", None)
+            if isinstance(left, socket.socket):
+                left.close()
+        failure = failure.__context__
 
 
 def _one_line(error: BaseException) -> str:

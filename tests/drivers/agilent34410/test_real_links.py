@@ -1,7 +1,10 @@
 """The driver through pyvisa-py on every front end of the simulated meter, in real time: stream, lose, come back."""
 
+import socket
 import time
-from contextlib import closing
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,6 +52,29 @@ def test_after_a_timeout_the_link_is_cleared_and_answers_the_next_question(link:
 
         assert "34410A" in line.query("*IDN?")
         line.close()
+
+
+def test_a_vxi_11_link_that_cannot_be_made_leaves_no_socket_open() -> None:
+    with closing(socket.create_server(("127.0.0.1", 0))) as listener, ThreadPoolExecutor(1) as pool:
+        port = listener.getsockname()[1]
+        hung_up = pool.submit(lambda: listener.accept()[0].close())  # it takes the connection and no call
+        before = _open_sockets()
+        with pytest.raises(InstrumentError, match="cannot open"):
+            open_link(f"TCPIP0::127.0.0.1,{port}::inst0::INSTR", 0.5)
+        hung_up.result()
+        assert _open_sockets() == before
+    with pytest.raises(InstrumentError, match="cannot open"):  # nobody listens any more
+        open_link(f"TCPIP0::127.0.0.1,{port}::inst0::INSTR", 0.5)
+    assert _open_sockets() < before
+
+
+def _open_sockets() -> set[str]:
+    """Names of this process' open sockets, as the kernel lists them."""
+    names = set()
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):  # the listing's own, closed by now
+            names.add(str(descriptor.readlink()))
+    return {name for name in names if name.startswith("socket:")}
 
 
 @pytest.mark.timeout(30)
