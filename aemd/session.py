@@ -2,45 +2,35 @@
 
 import gc
 import math
-import platform
 import shutil
-import socket
-import threading
 import time
-import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
-from importlib.metadata import version
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
-from aemd import __version__
 from aemd.acquire.acquisition import Acquisition
 from aemd.acquire.instrument import Instrument, find_driver, find_simulator
 from aemd.block import READING
 from aemd.config import Config
 from aemd.display import showing
-from aemd.errors import InstrumentError, RecordingError, UsageError
+from aemd.errors import InstrumentError, UsageError
 from aemd.estimate.registry import make_estimator
-from aemd.estimate.state import copy_state, write_state
+from aemd.estimate.state import copy_state
+from aemd.files import open_files, recovering
 from aemd.live.feed import About
 from aemd.live.health import Sources
 from aemd.live.view import View
 from aemd.pipeline import Sink, Tally, run
 from aemd.record.background import Background
-from aemd.record.description import Description
-from aemd.record.recovery import recover_folder
-from aemd.record.rollover import Rollover, Segment
-from aemd.record.writer import Recorder
+from aemd.record.rollover import Rollover
 from aemd.service import Notifier, Pulse, stopping_on_signals, watched
 
 __all__ = ["AcquireSummary", "acquire", "opened", "simulated"]
 
-LAST_RECOVERY_S = 10.0
 EXCHANGES = 10  # in a row with no answer, between two signs of life: up to 5 were seen
 
 
@@ -132,7 +122,7 @@ def acquire(
         gc.collect()
         gc.freeze()
         tally = Tally()
-        rollover = _open_files(config, instrument, folder, console)
+        rollover = open_files(config, instrument, folder, console)
         recorder = Background(rollover, cutter=rollover, copy_state=lambda: copy_state(estimator))
         sources = Sources(
             tally.counts,
@@ -147,7 +137,9 @@ def acquire(
         # One attempt to have a silent meter back is some exchanges long, each of which waits for its answer.
         patience_s = EXCHANGES * getattr(config.instrument, "timeout_s", 0.0)
         notifier.ready(f"acquiring {folder.absolute()}", patience_s)
-        behind.enter_context(_recovering(folder, console, stop))  # left after this recording has been finished
+        behind.enter_context(
+            recovering(folder, console, lambda: stop.is_asked)
+        )  # left after this recording has been finished
         try:
             with (
                 acquisition,
@@ -245,82 +237,3 @@ class _Stop:
             acquisition.stop()
         yield
         self._acquisition = None
-
-
-@contextmanager
-def _recovering(folder: Path, console: Console, stop: "_Stop") -> Iterator[None]:
-    """Finish, meanwhile, what earlier acquisitions left unfinished in the folder; a line is shown about each.
-
-    Who is told to stop leaves the rest for the next time: a service that takes too long over it would be killed.
-    """
-
-    def work() -> None:
-        for line in recover_folder(folder):
-            console.print(line, highlight=False, markup=False, soft_wrap=True)
-            if stop.is_asked:
-                return
-
-    thread = threading.Thread(target=work, name="aemd-recover", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        thread.join(LAST_RECOVERY_S if stop.is_asked else None)  # one that is cut short can be repeated
-
-
-def _open_files(config: Config, instrument: Instrument, folder: Path, console: Console) -> Rollover:
-    """Create the first recording in the folder, and describe it and those that follow it."""
-    now = datetime.now(UTC)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        why = (error.strerror or str(error)).lower()
-        raise RecordingError(f"{folder}: cannot be made: {why}; choose another folder") from error
-    description = Description(
-        interval_s=instrument.interval_s,
-        session={
-            "id": str(uuid.uuid4()),
-            "start": now.isoformat(),
-            "host": socket.gethostname(),
-            "aemd": __version__,
-            "python": platform.python_version(),
-            **{name: version(name) for name in ("numpy", "numba", "pyvisa", "pyvisa-py", "mcap")},
-        },
-        instrument={**instrument.identity, **instrument.settings},
-        calibration={key: str(value) for key, value in asdict(config.scale).items()},
-        estimator=config.estimator.as_text(),
-        config_toml=config.text,
-    )
-    options = config.recording
-
-    def open_file(segment: Segment) -> Recorder:
-        """Create a recording, named by the second at which it begins."""
-        return Recorder(
-            _free_name(folder, datetime.now(UTC)),
-            replace(
-                description,
-                first_index=segment.first_index,
-                segment=segment.as_text(),
-                state=write_state(segment.state),
-            ),
-            flush_interval_s=options.flush_interval_s,
-            chunk_bytes=options.chunk_bytes,
-            compression=options.compression,
-            durability=options.durability,
-            keep_room=True,
-        )
-
-    return Rollover(
-        open_file,
-        rotate_bytes=options.rotate_bytes,
-        rotate_s=options.rotate_s,
-        min_free_bytes=options.min_free_bytes,
-        tell=lambda line: console.print(line, highlight=False, markup=False, soft_wrap=True),
-    )
-
-
-def _free_name(folder: Path, now: datetime) -> Path:
-    """Return the recording's path: its UTC second, and a number where a second has several."""
-    stem = now.strftime("aemd-%Y%m%dT%H%M%SZ")
-    names = (folder / f"{stem}{suffix}.mcap" for suffix in ("", *(f"-{number}" for number in range(2, 1000))))
-    return next(path for path in names if not path.exists() and not path.with_name(path.name + ".active").exists())

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from aemd import session
 from aemd.block import Batch
+from aemd.files import recovering
 from aemd.record.writer import Recorder
 from tests.record.made import DESCRIPTION, estimates_of, readings_of
 
@@ -26,11 +26,8 @@ def test_who_is_told_to_stop_leaves_the_rest_for_the_next_time(
 ) -> None:
     for number in range(3):
         leave_behind(tmp_path / f"r{number}.mcap")
-    stop = session._Stop()
-    if is_told_to_stop:
-        stop()
 
-    with session._recovering(tmp_path, Console(file=StringIO()), stop):
+    with recovering(tmp_path, Console(file=StringIO()), lambda: is_told_to_stop):
         pass
 
     assert len(list(tmp_path.glob("*.active"))) == left
