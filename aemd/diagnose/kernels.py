@@ -99,6 +99,26 @@ def advance_vector(states: Floats, keep: Floats, turn: Floats, x: Floats) -> Non
 
 
 @njit(cache=True)
+def _advance_covariance(states: Floats, keep: Floats, turn: Floats, noise: Floats, p: Floats, work: Floats) -> None:
+    """Apply the step to a covariance, in place: to its columns, then to its rows; `work` holds one of them."""
+    m = states.shape[0]
+    for j in range(m):
+        for i in range(m):
+            work[i] = p[i, j]
+        advance_vector(states, keep, turn, work)
+        for i in range(m):
+            p[i, j] = work[i]
+    for i in range(m):
+        for j in range(m):
+            work[j] = p[i, j]
+        advance_vector(states, keep, turn, work)
+        for j in range(m):
+            p[i, j] = work[j]
+    for i in range(m):
+        p[i, i] += noise[i]
+
+
+@njit(cache=True)
 def _filter(
     y: Floats,
     used: NDArray[np.bool_],
@@ -166,20 +186,7 @@ def _filter(
                             p[j, i] = p[i, j]
                         p[i, i] += noise[i]
                 else:
-                    for j in range(m):
-                        for i in range(m):
-                            work[i] = p[i, j]
-                        advance_vector(states, keep, turn, work)
-                        for i in range(m):
-                            p[i, j] = work[i]
-                    for i in range(m):
-                        for j in range(m):
-                            work[j] = p[i, j]
-                        advance_vector(states, keep, turn, work)
-                        for j in range(m):
-                            p[i, j] = work[j]
-                    for i in range(m):
-                        p[i, i] += noise[i]
+                    _advance_covariance(states, keep, turn, noise, p, work)
         state = 0.0
         for i in range(m):
             state += states[i, 5] * x[i]
@@ -447,20 +454,7 @@ def _follow_two(
             high = high_next
             advance_vector(states, keep, turn, below)
             advance_vector(states, keep, turn, above)
-            for j in range(m):
-                for i in range(m):
-                    work[i] = p[i, j]
-                advance_vector(states, keep, turn, work)
-                for i in range(m):
-                    p[i, j] = work[i]
-            for i in range(m):
-                for j in range(m):
-                    work[j] = p[i, j]
-                advance_vector(states, keep, turn, work)
-                for j in range(m):
-                    p[i, j] = work[j]
-            for i in range(m):
-                p[i, i] += noise[i]
+            _advance_covariance(states, keep, turn, noise, p, work)
         s, low_guess, high_guess = noise_var[k], mean[k], mean[k] + telegraph[0]
         for i in range(m):
             c = 0.0

@@ -12,7 +12,7 @@ from aemd.diagnose.evidence import Evidence, two_sided, weighted_chi2_tail
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.hypothesis import Term
 from aemd.diagnose.terms.lines import amplitude_cost
-from aemd.diagnose.terms.noise import ChangingNoise, HeavyTails, Louder, SignalDependentNoise
+from aemd.diagnose.terms.noise import ChangingNoise, HeavyTails, SignalDependentNoise
 from aemd.diagnose.terms.shapes import Nonlinearity
 from aemd.diagnose.terms.witnessed import SupplyCoupling
 
@@ -83,7 +83,10 @@ def _changing_noise(fit: Fit) -> Outcome:
         share = float(np.median(fit.variance[used])) / fit.white**2
         wanted = max(1 + (inside / outside - 1) * share, 0.05)
         window = float(t_s[begin]), float(t_s[end])
-        return [ChangingNoise(*window, sqrt(wanted), cost), Louder(*window, sqrt(max(inside / outside, 0.05)), cost)]
+        return [
+            ChangingNoise(*window, sqrt(wanted), cost),
+            ChangingNoise(*window, sqrt(max(inside / outside, 0.05)), cost, everything=True),
+        ]
 
     evidence = Evidence(
         check="range of the summed squares of the residuals, in units of a Brownian bridge",

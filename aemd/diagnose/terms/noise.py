@@ -16,7 +16,6 @@ __all__ = [
     "ExtraMarkov",
     "Flicker",
     "HeavyTails",
-    "Louder",
     "RandomWalk",
     "Resonance",
     "SignalDependentNoise",
@@ -248,7 +247,13 @@ class ChangingNoise:
     end_s: float
     ratio: float
     cost_nats: float
-    cause: str = "changing_noise"
+    everything: bool = False
+    """Multiply the processes, too: no mechanism of the catalogue, so where that explains more, the name is refused."""
+
+    @property
+    def cause(self) -> str:
+        """Id of what it stands for."""
+        return "unexplained" if self.everything else "changing_noise"
 
     @property
     def start(self) -> Floats:
@@ -261,8 +266,10 @@ class ChangingNoise:
         return [(log(1e-3), log(1e3))]
 
     def add(self, theta: Floats, data: Data, parts: Parts) -> None:
-        """Scale the white noise between the instants."""
+        """Scale the white noise, or everything, between the instants."""
         inside = (data.t_s >= self.begin_s) & (data.t_s < self.end_s)
+        if self.everything:
+            parts.scale = np.where(inside, parts.scale * exp(theta[0]), parts.scale)
         parts.noise_var = np.where(inside, parts.noise_var * exp(2 * theta[0]), parts.noise_var)
 
     def parameters(self, data: Data) -> Sequence[Parameter]:  # noqa: ARG002 - a Term's
@@ -272,40 +279,6 @@ class ChangingNoise:
             Parameter("dwell_s", "s", lambda _: self.end_s - self.begin_s),
             Parameter("ratio", "", lambda v: exp(v[0])),
         ]
-
-
-@dataclass(frozen=True, slots=True)
-class Louder:
-    """Everything but the level multiplied by a ratio from one instant to another; free number log ratio.
-
-    No mechanism of the catalogue, so where it explains more than a noise that changes, that name is refused.
-    """
-
-    begin_s: float
-    end_s: float
-    ratio: float
-    cost_nats: float
-    cause: str = "unexplained"
-
-    @property
-    def start(self) -> Floats:
-        """Free numbers to begin with."""
-        return np.array([log(self.ratio)])
-
-    @property
-    def bounds(self) -> Sequence[Bounds]:
-        """Of the ratio."""
-        return [(log(1e-3), log(1e3))]
-
-    def add(self, theta: Floats, data: Data, parts: Parts) -> None:
-        """Scale the processes and the white noise between the instants."""
-        inside = (data.t_s >= self.begin_s) & (data.t_s < self.end_s)
-        parts.scale = np.where(inside, parts.scale * exp(theta[0]), parts.scale)
-        parts.noise_var = np.where(inside, parts.noise_var * exp(2 * theta[0]), parts.noise_var)
-
-    def parameters(self, data: Data) -> Sequence[Parameter]:  # noqa: ARG002 - a Term's
-        """Return nothing: it is never reported."""
-        return []
 
 
 @dataclass(frozen=True, slots=True)
