@@ -52,7 +52,7 @@ class _Transfers:
     """Of the answer being sent."""
     sending: bytearray = field(default_factory=bytearray)
     owes_short_packet: bool = False
-    """The answer ended with a full packet, so an empty one has to tell its end."""
+    """The answer ended with a full packet and filled what the host read, so an empty one has to tell its end."""
     is_aborting: bool = False
     notifications: deque[bytes] = field(default_factory=deque)
 
@@ -174,7 +174,10 @@ class UsbDevice:
                 return None
         sent = bytes(self._now.sending[:length])
         del self._now.sending[:length]
-        self._now.owes_short_packet = not self._now.sending and bool(sent) and len(sent) % PACKET_BYTES == 0
+        # A host that reads for more waits for the end and takes the empty packet with the same read (USB 2.0, 5.8.3);
+        # kept for the next read, it would be taken for the next answer.
+        is_filled = len(sent) == length and length % PACKET_BYTES == 0
+        self._now.owes_short_packet = not self._now.sending and bool(sent) and is_filled
         return sent
 
     def interrupt_in(self) -> bytes | None:

@@ -15,7 +15,7 @@ from aemd.block import READING
 from aemd.errors import InstrumentError
 from agilent34410.link import open_link
 from sim34410 import Fault
-from tests.drivers.sim34410.links import counting_bench, served
+from tests.drivers.sim34410.links import HandClock, counting_bench, served
 
 LINKS = ["socket", "vxi11", "usb", "serial"]
 OPTIONS = agilent34410.Options(nplc=0.2, autozero="off", interval_s=0.01, timeout_s=0.5, baud_rate=115200)
@@ -42,6 +42,24 @@ def test_a_stream_over_this_link_is_the_meters_and_a_cable_that_was_out_for_a_se
 
 
 @pytest.mark.parametrize("link", LINKS)
+def test_a_block_of_any_size_is_followed_by_the_next_answer(link: str) -> None:
+    bench = counting_bench(clock := HandClock())
+    with (
+        served(bench) as resources,
+        closing(agilent34410.open_instrument(resources[link], OPTIONS, clock)) as instrument,
+    ):
+        instrument.start()
+        taken = 0
+        for count in range(
+            1, 140
+        ):  # over two packets of USB: an answer that ends with a full one has an end of its own
+            clock.move(1.4)
+            taken += instrument.drain(count).values_V.size
+
+        assert taken == sum(range(1, 140))
+
+
+@pytest.mark.parametrize("link", LINKS)
 def test_after_a_timeout_the_link_is_cleared_and_answers_the_next_question(link: str) -> None:
     bench = counting_bench(time.monotonic_ns, [Fault("lost", at_s=0.0)])
     with served(bench) as resources:
@@ -57,7 +75,7 @@ def test_after_a_timeout_the_link_is_cleared_and_answers_the_next_question(link:
 def test_a_vxi_11_link_that_cannot_be_made_leaves_no_socket_open() -> None:
     with closing(socket.create_server(("127.0.0.1", 0))) as listener, ThreadPoolExecutor(1) as pool:
         port = listener.getsockname()[1]
-        hung_up = pool.submit(lambda: listener.accept()[0].close())  # it takes the connection and no call
+        hung_up = pool.submit(_hang_up, listener)
         before = _open_sockets()
         with pytest.raises(InstrumentError, match="cannot open"):
             open_link(f"TCPIP0::127.0.0.1,{port}::inst0::INSTR", 0.5)
@@ -66,6 +84,12 @@ def test_a_vxi_11_link_that_cannot_be_made_leaves_no_socket_open() -> None:
     with pytest.raises(InstrumentError, match="cannot open"):  # nobody listens any more
         open_link(f"TCPIP0::127.0.0.1,{port}::inst0::INSTR", 0.5)
     assert _open_sockets() < before
+
+
+def _hang_up(listener: socket.socket) -> None:
+    """Take one connection, and no call of it."""
+    connection, _ = listener.accept()
+    connection.close()
 
 
 def _open_sockets() -> set[str]:

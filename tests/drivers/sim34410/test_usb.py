@@ -105,9 +105,19 @@ def test_a_transfer_of_full_packets_is_ended_by_an_empty_one(device):
     say(device, b"R?")  # 12 of the header, 5 of the block's head, 62 x 8, and the newline are 514; to be cut at 500
     request(device, 500)
 
-    assert len(device.bulk_in(1024)) == 512
+    assert len(device.bulk_in(512)) == 512
     assert device.bulk_in(512) == b""
     assert device.bulk_in(512) is None
+
+
+def test_a_read_for_more_than_full_packets_takes_the_empty_one_with_it(device):
+    say(device, b"FORM REAL,64;:CONF:VOLT:DC 10;:TRIG:DEL 0;:VOLT:ZERO:AUTO OFF;:SAMP:COUN 62;:INIT")
+    device.bench.clock.move(60.0)
+    say(device, b"R?")
+    request(device, 500)
+
+    assert len(device.bulk_in(1024)) == 512
+    assert device.bulk_in(512) is None  # an empty one now would be taken for the next answer
 
 
 def test_a_message_may_come_in_several_transfers_and_each_in_several_packets(device):
