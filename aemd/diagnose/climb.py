@@ -34,6 +34,7 @@ _FLAT = 0.1  # of what is worth a step: a free number that can gain no more stay
 _DIFFERENCE = 1e-5  # of a free number, for the derivatives
 HOPELESS = 20.0
 """Nats behind the best, after what may still come, from which a start is given up."""
+_PATIENCE = 5  # steps that the best start of each kind has at least
 _STILL_TO_COME = 3.0  # times its last step's gain that a start is given credit for; steps gain less and less
 
 
@@ -166,17 +167,30 @@ def climb(terms: Sequence[Term], start: Floats, data: Data, iterations: int = 40
 
 
 def race(starts: Sequence[Climb], iterations: int) -> list[Climb]:
-    """Let starts climb together, give up those that fall hopelessly behind, and return the others, best first."""
+    """Let starts climb together, give up those that fall hopelessly behind, and return the others, best first.
+
+    The best of each kind is given a few steps first: a mechanism that the base has imitated begins far down, because
+    the base has to give way before it can rise.
+    """
     left = list(starts)
-    for _ in range(iterations):
+    for count in range(1, iterations + 1):
         for one in left:
             if not one.done:
                 one.step()
         top = max(one.worth for one in left)
-        left = _distinct([one for one in left if one.worth + _STILL_TO_COME * one.gained >= top - HOPELESS])
+        first = _best_of_each_kind(left) if count < _PATIENCE else []
+        left = [one for one in left if one in first or one.worth + _STILL_TO_COME * one.gained >= top - HOPELESS]
+        left = _distinct(left)
         if all(one.done for one in left):
             break
     return sorted(left, key=lambda one: -one.worth)
+
+
+def _best_of_each_kind(starts: Sequence[Climb]) -> list[Climb]:
+    best: dict[str, Climb] = {}
+    for one in sorted(starts, key=lambda one: -one.worth):
+        best.setdefault(one.terms[-1].cause, one)
+    return list(best.values())
 
 
 def _distinct(starts: Sequence[Climb]) -> list[Climb]:

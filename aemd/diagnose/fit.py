@@ -12,7 +12,8 @@ from aemd.diagnose.climb import Climb, assemble, climb, densities, race, reading
 from aemd.diagnose.hypothesis import Base, Data, Term, base_box, base_start_with_shocks
 from aemd.diagnose.kernels import follow_telegraph, predict, whiten
 from aemd.diagnose.starts import spectral_starts, usual_starts, without_jumps
-from aemd.diagnose.terms.noise import Smoothing
+from aemd.diagnose.terms.events import Popcorn
+from aemd.diagnose.terms.noise import DifferenceNoise, Smoothing
 
 __all__ = [
     "Fit",
@@ -237,10 +238,20 @@ def _fit_calm(calm: Data) -> Floats:
     return climb([Base(start, shocks=False, box=base_box(calm))], start, calm, iterations=15)[0]
 
 
-def begin_with(fit: Fit, term: Term) -> Floats:
-    """Return free numbers to begin a fit with one more term."""
+def begin_with(fit: Fit, term: Term) -> list[Floats]:
+    """Return free numbers to begin a fit with one more term; several where the base has imitated it."""
     theta = np.concatenate((fit.theta, term.start))
-    if isinstance(term, Smoothing) and isinstance(fit.terms[0], Base):  # what was smoothed has another spectrum
+    if not isinstance(fit.terms[0], Base):
+        return [theta]
+    if isinstance(term, Smoothing):  # what was smoothed has another spectrum
         y, _ = sharpened(fit.data, term.kept)
         theta[:5] = spectral_starts(replace(fit.data, y=y))[0][:5]
-    return theta
+    elif isinstance(term, DifferenceNoise):  # white noise, or a signal no longer than a reading, stood for it
+        known = fit.mean - fit.theta[5]
+        anew = theta.copy()
+        start = spectral_starts(replace(fit.data, y=fit.data.y - known), rising=True)[0]
+        anew[:5], anew[-1] = start[:5], start[-1]
+        return [theta, anew]
+    elif isinstance(term, Popcorn) and term.beside:
+        return [theta, np.concatenate((term.beside, term.start))]
+    return [theta]

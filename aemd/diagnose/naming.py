@@ -65,8 +65,9 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
     if not candidates:
         return None
     starts = [
-        Climb([*fit.terms, term], begin_with(fit, term), fit.data, term.cost_nats)
+        Climb([*fit.terms, term], start, fit.data, term.cost_nats)
         for term in {repr(term): term for term in candidates}.values()  # checks that fail together nominate the same
+        for start in begin_with(fit, term)
     ]
     fitted: dict[str, Climb] = {}
     for one in race(starts, steps_for(fit.data)):

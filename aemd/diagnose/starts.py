@@ -17,10 +17,14 @@ Floats = NDArray[np.float64]
 _LARGE = 4.0  # usual changes that a change must be to be a jump
 
 
-def spectral_starts(data: Data) -> list[Floats]:
+def spectral_starts(data: Data, *, rising: bool = False) -> list[Floats]:
     """Return starts for the base, best first: pairs of time constants, their levels by weighted least squares.
 
     Whittle's approximation on averaged bins of the periodogram; it judges nothing, it only says where to begin.
+
+    Args:
+        data: the readings.
+        rising: beside a difference noise, the logarithm of whose deviation comes last in each start.
     """
     slots = data.slot[data.used]
     even = np.interp(np.arange(slots[-1] + 1), slots, data.y[data.used])
@@ -38,21 +42,24 @@ def spectral_starts(data: Data) -> list[Floats]:
     counts = counts * 0.5  # the taper correlates neighbours
     taus = np.geomspace(step, 3 * data.span_s, 12)
     shapes = [_markov_spectrum(centre, tau, step) for tau in taus]
-    white = np.full(centre.size, step)
+    others = [np.full(centre.size, step)]
+    if rising:
+        others.append(step * 4 * np.sin(np.pi * centre * step) ** 2)
     found: list[tuple[float, Floats]] = []
     typical = max(data.span_s, step)
     for fast, slow in combinations(range(taus.size), 2):
-        design = np.column_stack((shapes[fast], shapes[slow], white))
+        design = np.column_stack((shapes[fast], shapes[slow], *others))
         model = bins.copy()
-        levels = np.ones(3)
+        levels = np.ones(design.shape[1])
         for _ in range(4):
             weight = np.sqrt(counts) / np.maximum(model, 1e-12 * bins.max())
             levels, _ = nnls(design * weight[:, None], bins * weight)
             model = np.maximum(design @ levels, 1e-9 * bins.max())
         cost = float(np.sum(counts * (np.log(model) + bins / model)))
         rate_s, rate_d = (sqrt(max(level, 1e-8 / typical)) for level in levels[:2])
-        noise = sqrt(max(levels[2], 1e-3))
-        found.append((cost, np.array([log(taus[fast]), log(rate_s), log(taus[slow]), log(rate_d), log(noise), 0.0])))
+        noise = [0.5 * log(max(level, 1e-3)) for level in levels[2:]]
+        start = [log(taus[fast]), log(rate_s), log(taus[slow]), log(rate_d), noise[0], 0.0, *noise[1:]]
+        found.append((cost, np.array(start)))
     found.sort(key=lambda item: item[0])
     kept: list[Floats] = []
     for _, theta in found:  # starts that differ

@@ -138,16 +138,8 @@ NOT_HERE = {"flicker_noise", "random_walk", "extra_gauss_markov"}
 """A refitted base absorbs them on records of minutes; they need hours."""
 
 
-MISNAMED = {
-    "difference_noise": "called resonance: where the fitted base has lost its drift, its own shape is taken out of the"
-    " periodogram, and with it the rise by which difference noise is nominated",
-}
-
-
 @pytest.mark.parametrize(("plant", "effect"), HIDDEN, ids=[effect.cause for _, effect in HIDDEN])
-def test_what_is_hidden_is_found_and_named(plant, effect, tmp_path, request):
-    if effect.cause in MISNAMED:
-        request.applymarker(pytest.mark.xfail(reason=MISNAMED[effect.cause], strict=True))
+def test_what_is_hidden_is_found_and_named(plant, effect, tmp_path):
     record = make_record(Run(plant, SEED, (effect,)))
     if effect.cause == "clock_error":  # a table does not say how long its interval should be
         write_mcap(record, path := tmp_path / "a.mcap", plant.interval_s)

@@ -31,6 +31,12 @@ __all__ = ["check_colour", "check_resonance"]
 Floats = NDArray[np.float64]
 
 
+_PRESENT = 0.1
+"""Of a part of the base: its spectrum over the whole, as the root of a sum of squares over the frequencies. Below it,
+half a nat per hundred, the part is at its bound and nothing was fitted by it; its shape, at whatever time constant it
+was left at, must not be taken out of what is tested."""
+
+
 class _Score:
     """The residuals' periodogram and the directions that the base's own parameters take up."""
 
@@ -55,7 +61,9 @@ class _Score:
                 self.base += here
         taken = np.column_stack([shape / self.base for shape in shapes])
         scale = np.sqrt(np.sum(taken**2, axis=0))
-        kept = taken[:, scale > 0] / scale[scale > 0]
+        present = scale > _PRESENT
+        self.lost = not present.all()
+        kept = taken[:, present] / scale[present]
         left, singular, _ = np.linalg.svd(kept, full_matrices=False)
         fitted = isinstance(fit.terms[0], Base)  # of a stated model nothing has been fitted away
         self.taken = left[:, singular > (1e-4 if fitted else np.inf) * singular[0]]
@@ -82,7 +90,9 @@ class _Score:
         if size < 1e-6 * float(np.sqrt(np.sum((added / self.base) ** 2))):
             return 0.0, 1.0  # the base can do the same
         score = float(shape @ (self.power - 1)) / size
-        return score, weighted_chi2_tail(0.5 * shape / size, score, dof=2)
+        p_value = weighted_chi2_tail(0.5 * shape / size, score, dof=2)
+        # A part is lost where the readings speak against it, and so for other shapes; that is one case of two at most.
+        return score, bonferroni(p_value, 2) if self.lost else p_value
 
     def size_of(self, added: Floats, score: float) -> float:
         """Return the multiple of the added spectrum that the score points at, at least a little."""
@@ -167,7 +177,7 @@ def check_resonance(fit: Fit) -> Evidence:
         width = int(np.ceil(width * 1.7))
     p_value, at, width, power = best
     corrected = bonferroni(p_value, trials)
-    terms: tuple[Resonance | Smoothing, ...] = ()
+    terms: tuple[DifferenceNoise | Resonance | Smoothing, ...] = ()
     if corrected < 0.01:
         frequency = float(score.w[at] + score.w[min(at + width, count) - 1]) / 2 / (2 * pi * data.interval_s)
         band_hz = width / (count * 2 * data.interval_s)
@@ -177,7 +187,8 @@ def check_resonance(fit: Fit) -> Evidence:
         sd = sqrt(excess * pi * 2 * width / (2 * count))
         cost = amplitude_cost(1, data.n) + log(max(count / width, 1)) + log(5)
         terms = tuple(Resonance(frequency, start, longest, sd, cost) for start in (tau, min(3 * tau, longest)))
-        terms = (*terms, *smoothings(data.n))  # what smoothing bends, a band may fill up
+        # What smoothing bends, or noise that neighbours share lifts, a wide band may fill up.
+        terms = (*terms, *smoothings(data.n), DifferenceNoise(sd, amplitude_cost(1, data.n)))
     return Evidence(
         check="strongest band of the residuals' spectrum: power over its mean",
         p_value=corrected,

@@ -61,7 +61,8 @@ def check_popcorn(fit: Fit) -> Evidence:
         found, value = climb([*fit.terms, term], found, data, iterations=12)
     gained = value - before
     step, low_s, high_s = np.exp(found[-3:])
-    return _evidence(gained, (Popcorn(float(step), float(low_s), float(high_s), amplitude_cost(3, fit.data.n)),))
+    cost = amplitude_cost(3, fit.data.n)
+    return _evidence(gained, (Popcorn(float(step), float(low_s), float(high_s), cost, tuple(found[:-3].tolist())),))
 
 
 def _evidence(gained: float, terms: tuple[Popcorn, ...]) -> Evidence:

@@ -73,6 +73,8 @@ class Popcorn:
     low_s: float
     high_s: float
     cost_nats: float
+    beside: tuple[float, ...] = ()
+    """Free numbers of all other terms where the check found most: those without the level have its jumps as shocks."""
     cause: str = "popcorn_noise"
 
     @property
