@@ -113,8 +113,10 @@ def acquire(
         ExitStack() as behind,
         opened(config) as instrument,
     ):
-        estimator = make_estimator(config.estimator.name, config.estimator.options, instrument.interval_s)
-        estimator.push(np.empty(0, READING))  # compiles the kernel, which the first readings should not wait for
+        estimator = make_estimator(
+            config.estimator.name, config.estimator.options, instrument.interval_s, is_live=True
+        )
+        estimator.push(np.empty(0, READING))  # what is compiled is compiled now: the first readings should not wait
         if stop.is_asked:
             raise KeyboardInterrupt
         most = None if seconds is None else max(1, round(seconds / instrument.interval_s))

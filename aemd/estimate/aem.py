@@ -67,12 +67,12 @@ class Aem:
     name = "aem"
     lag = 0
 
-    def __init__(self, options: AemOptions, interval_s: float) -> None:
+    def __init__(self, options: AemOptions, interval_s: float, few: int = 0) -> None:
         self.options = options
         self.interval_s = interval_s
         curve, slopes = fit_matrices(options.fit_history, options.fit_order)
         self._filter = EmFilter(
-            options, interval_s, options.windows, options.thresholds, curve, slopes, options.slope_unit_V
+            options, interval_s, options.windows, options.thresholds, curve, slopes, options.slope_unit_V, few
         )
 
     def push(self, block: Block) -> Estimates:

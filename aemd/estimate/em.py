@@ -1,4 +1,4 @@
-"""Expectation maximisation over a window: the options that AEM and REM share, and the run of the compiled kernel."""
+"""Expectation maximisation over a window: the options that AEM and REM share, and the run of the kernel."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from aemd.block import READING, Block, Estimates
 from aemd.estimate import kernels
+from aemd.estimate.compiled import choose
 from aemd.estimate.kalman import columns_of, rows_for, state_model
 from aemd.estimate.options import Count, Positive, StateOptions
 
@@ -39,7 +40,7 @@ class EmOptions(StateOptions):
 
 
 class EmFilter:
-    """The compiled run of AEM with a choice of windows, and its state.
+    """The run of AEM with a choice of windows, and its state.
 
     Args:
         options: of the state model and the passes.
@@ -49,6 +50,7 @@ class EmFilter:
         curve: matrix from readings to the fitted curve, see window.fit_matrices; empty for one window.
         slopes: matrix from the fitted curve to its slopes; empty for one window.
         slope_unit_V: unit of a slope, V per reading.
+        few: blocks of fewer readings are not worth a compiler.
     """
 
     def __init__(
@@ -60,7 +62,9 @@ class EmFilter:
         curve: NDArray[np.float64],
         slopes: NDArray[np.float64],
         slope_unit_V: float,
+        few: int,
     ) -> None:
+        self._few = few
         self._model = state_model(options, interval_s)
         self._rule = kernels.AemRule(
             windows=np.array(windows, dtype=np.int64),
@@ -82,5 +86,6 @@ class EmFilter:
     def push(self, block: Block) -> Estimates:
         """Return the estimates of these readings."""
         estimates = rows_for(block)
-        kernels.run_aem(self._state, self._model, self._rule, *columns_of(block), estimates)
+        run = choose(kernels.run_aem, block.size, self._few)
+        run(self._state, self._model, self._rule, *columns_of(block), estimates)
         return estimates

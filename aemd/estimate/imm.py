@@ -10,6 +10,7 @@ from annotated_types import Ge, Gt, Le
 from aemd.block import ESTIMATE, READING, Block, Estimates
 from aemd.errors import ConfigError
 from aemd.estimate import imm_kernels
+from aemd.estimate.compiled import choose
 from aemd.estimate.kalman import columns_of
 from aemd.estimate.options import Count, Positive, check_bounds, discrete_phi
 
@@ -119,9 +120,10 @@ class Imm:
 
     name = "imm"
 
-    def __init__(self, options: ImmOptions, interval_s: float) -> None:
+    def __init__(self, options: ImmOptions, interval_s: float, few: int = 0) -> None:
         self.options = options
         self.interval_s = interval_s
+        self._few = few
         self._pairs = (0,) * len(options.signal_V)
         self._model = imm_model(options, interval_s)
         self._state = imm_kernels.start_imm(self._model, options.lag)
@@ -137,13 +139,15 @@ class Imm:
         estimates = np.empty(block.size, dtype=ESTIMATE)
         index, value_V, status = columns_of(block)
         t_ns = block["t_ns"].copy()
-        ready = imm_kernels.run_imm(self._pairs, self._state, self._model, index, t_ns, value_V, status, estimates)
+        run = choose(imm_kernels.run_imm, block.size, self._few)
+        ready = run(self._pairs, self._state, self._model, index, t_ns, value_V, status, estimates)
         return estimates[:ready]
 
     def flush(self) -> Estimates:
         """Return the estimates that the lag still holds back."""
         estimates = np.empty(self.lag, dtype=ESTIMATE)
-        return estimates[: imm_kernels.drain_imm(self._state, estimates)]
+        drain = choose(imm_kernels.drain_imm, self.lag, self._few)
+        return estimates[: drain(self._state, estimates)]
 
 
 def imm_model(options: ImmOptions, interval_s: float) -> imm_kernels.ImmModel:

@@ -1,4 +1,4 @@
-"""The compiled recursion of the interacting multiple model: arrays in, arrays out, and a state that is carried on.
+"""The recursion of the interacting multiple model, to be compiled: arrays in, arrays out, a state that is carried on.
 
 All functions stand in this one file because numba's cache notices a change only in the file of the function that is
 called from outside. Nothing is reordered or fused by the compiler (no fastmath), so the bits of a result depend on the
@@ -20,10 +20,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from aemd.block import ESTIMATE, NOT_A_VALUE, Status
+from aemd.estimate.compiled import choose, kernel
 
 __all__ = ["ImmModel", "ImmState", "drain_imm", "run_imm", "start_imm"]
 
@@ -135,11 +135,11 @@ def start_imm(model: ImmModel, lag: int) -> ImmState:
         rows=np.zeros(lag + 1, dtype=ESTIMATE),
         scratch=np.zeros((2, n)),
     )
-    forget(state, model)
+    choose(forget, 0, few=1)(state, model)
     return state
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def forget(state: ImmState, model: ImmModel) -> None:
     """Return to what is known before any reading: the stationary law of every part, whatever the mode."""
     n = state.x.shape[1]
@@ -157,7 +157,7 @@ def forget(state: ImmState, model: ImmModel) -> None:
         state.mu[j] = model.leave[1 - j] / (model.leave[0] + model.leave[1])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def mixing_shares(mu: Floats, leave: Floats) -> tuple[float, float, float, float]:
     """Return the modes' probabilities at the next reading, and the share of mode 1 in what each then starts from.
 
@@ -168,7 +168,7 @@ def mixing_shares(mu: Floats, leave: Floats) -> tuple[float, float, float, float
     return new0, new1, mu[1] * leave[1] / new0, mu[1] * (1.0 - leave[1]) / new1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def mix(pairs: tuple[int, ...], x: Floats, P: Floats, gap: Floats, a: float, b: float) -> None:
     """Give mode 0 mean and covariance of the mixture with share a of mode 1, mode 1 with b; x_0 - x_1 goes to `gap`."""
     n = 2 * len(pairs) + 1
@@ -185,7 +185,7 @@ def mix(pairs: tuple[int, ...], x: Floats, P: Floats, gap: Floats, a: float, b: 
         x[0, r] -= a * gap[r]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def mix_held(held: Held, count: int, slot: int, gap: Floats, a: float, b: float) -> None:
     """Do the same to the held inputs and their covariance with the state."""
     aa, bb = a * (1.0 - a), b * (1.0 - b)
@@ -204,7 +204,7 @@ def mix_held(held: Held, count: int, slot: int, gap: Floats, a: float, b: float)
             cross[1, s, r] = quiet + b * step + bb * distance * gap[r]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def predict(
     pairs: tuple[int, ...],
     x: Floats,
@@ -244,7 +244,7 @@ def predict(
     P[j, last, last] += slow_Q
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def predict_held(
     pairs: tuple[int, ...], cross: Floats, count: int, slot: int, cos: Floats, sin: Floats, phi: float
 ) -> None:
@@ -260,7 +260,7 @@ def predict_held(
             cross[j, s, last] *= phi
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def expect(pairs: tuple[int, ...], x: Floats, P: Floats, PH: Floats, j: int, z: float, R: float) -> tuple[float, float]:
     """Return e = z - H x and S = H P H' + R of mode j, H being the sum of all parts; leave P H' in row j of `PH`."""
     m, last = len(pairs), 2 * len(pairs)
@@ -275,7 +275,7 @@ def expect(pairs: tuple[int, ...], x: Floats, P: Floats, PH: Floats, j: int, z: 
     return e, S
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def update(pairs: tuple[int, ...], x: Floats, P: Floats, PH: Floats, j: int, e: float, inverse_S: float) -> None:
     """Take a reading into mode j: x <- x + K e, P <- P - K S K', K = P H' / S."""
     n = 2 * len(pairs) + 1
@@ -286,7 +286,7 @@ def update(pairs: tuple[int, ...], x: Floats, P: Floats, PH: Floats, j: int, e: 
             P[j, r, c] = P[j, c, r] = P[j, r, c] - K * PH[j, c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def update_held(
     pairs: tuple[int, ...], held: Held, count: int, slot: int, PH: Floats, j: int, e: float, inverse_S: float
 ) -> None:
@@ -305,7 +305,7 @@ def update_held(
             cross[j, s, r] -= K * PH[j, r]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def hold(pairs: tuple[int, ...], held: Held, slot: int, x: Floats, P: Floats, slow_is_input: int) -> None:
     """Put the present input into a slot, its mean, variance and covariance with the state in each mode."""
     m, last = len(pairs), 2 * len(pairs)
@@ -322,7 +322,7 @@ def hold(pairs: tuple[int, ...], held: Held, slot: int, x: Floats, P: Floats, sl
             variance[j, slot] += cross[j, slot, 2 * i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def tail(t: float) -> tuple[float, float]:
     """Return upper tail and density of the standard Gaussian: the series about a knot below, to 2e-8 and 2e-7.
 
@@ -336,7 +336,7 @@ def tail(t: float) -> tuple[float, float]:
     return above if t >= 0.0 else 1.0 - above, density * (1.0 - s * (at - s * 0.5 * (at * at - 1.0)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def beyond(h: float, d: float, inverse_sd: float) -> tuple[float, float, float]:
     """Return how probably a Gaussian about d is not within +-h, minus its derivative by h, and its second one."""
     a, b = (h - d) * inverse_sd, (h + d) * inverse_sd
@@ -346,7 +346,7 @@ def beyond(h: float, d: float, inverse_sd: float) -> tuple[float, float, float]:
     return above + below, fall, (a * density_a + b * density_b) * inverse_sd * inverse_sd
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def merge(
     mu0: float, mu1: float, mean0: float, mean1: float, variance0: float, variance1: float
 ) -> tuple[float, float]:
@@ -384,7 +384,7 @@ def merge(
     return value, h / Z95
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def rest(pairs: tuple[int, ...], x: Floats, j: int, z: float) -> float:
     """Return what the state of mode j leaves of a reading, z - H x."""
     left = z - float(x[j, 2 * len(pairs)])
@@ -393,7 +393,7 @@ def rest(pairs: tuple[int, ...], x: Floats, j: int, z: float) -> float:
     return left
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def release(
     rows: NDArray[np.void], held: Held, mu: Floats, factor: float, slot: int, out: NDArray[np.void], place: int
 ) -> None:
@@ -411,7 +411,7 @@ def release(
         estimate.value_V, estimate.sigma_V = 0.0, NOTHING_KNOWN_V
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def run_imm(
     pairs: tuple[int, ...],
     state: ImmState,
@@ -498,7 +498,7 @@ def run_imm(
     return released
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def drain_imm(state: ImmState, out: NDArray[np.void]) -> int:
     """Write the estimates that the lag still holds back, the oldest first; return how many."""
     now, size = state.now[0], state.rows.size

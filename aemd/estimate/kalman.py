@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from aemd.block import ESTIMATE, READING, Block, Estimates
 from aemd.estimate import kernels
+from aemd.estimate.compiled import choose
 from aemd.estimate.options import StateOptions, discrete_phi
 
 __all__ = ["Kalman", "KalmanOptions", "columns_of", "rows_for", "state_model"]
@@ -27,9 +28,10 @@ class Kalman:
     name = "kalman"
     lag = 0
 
-    def __init__(self, options: KalmanOptions, interval_s: float) -> None:
+    def __init__(self, options: KalmanOptions, interval_s: float, few: int = 0) -> None:
         self.options = options
         self.interval_s = interval_s
+        self._few = few
         self._model = state_model(options, interval_s)
         self._state = kernels.start_kalman(self._model)
         self.push(np.empty(0, dtype=READING))  # compiles now, or loads what was compiled, not at the first reading
@@ -37,7 +39,8 @@ class Kalman:
     def push(self, block: Block) -> Estimates:
         """Return the estimates of these readings."""
         estimates = rows_for(block)
-        kernels.run_kalman(self._state, self._model, *columns_of(block), estimates)
+        run = choose(kernels.run_kalman, block.size, self._few)
+        run(self._state, self._model, *columns_of(block), estimates)
         return estimates
 
     def flush(self) -> Estimates:

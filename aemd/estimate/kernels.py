@@ -1,4 +1,4 @@
-"""The compiled recursions of the Kalman filter and of AEM: arrays in, arrays out, and a state that is carried on.
+"""The recursions of the Kalman filter and of AEM, to be compiled: arrays in, arrays out, a state that is carried on.
 
 All functions of one recursion stand in this one file because numba's cache notices a change only in the file of the
 function that is called from outside. Nothing here is reordered or fused by the compiler (no fastmath), so the bits of a
@@ -15,10 +15,10 @@ import math
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from aemd.block import NOT_A_VALUE, Status
+from aemd.estimate.compiled import kernel
 
 __all__ = ["AemRule", "AemState", "StateModel", "run_aem", "run_kalman", "start_aem", "start_kalman"]
 
@@ -62,7 +62,19 @@ class StateModel(NamedTuple):
     restart_after: int
 
 
-@njit(cache=True, nogil=True)
+@kernel()
+def whole_power(base: float, exponent: int) -> float:
+    """Return base^exponent for an exponent of at least 0, by squaring: to the same bits, compiled or not."""
+    power = 1.0
+    while exponent > 0:
+        if exponent & 1:
+            power *= base
+        exponent >>= 1
+        base *= base
+    return power
+
+
+@kernel()
 def predict(x: float, P: float, steps: int, model: StateModel) -> tuple[float, float]:
     """Return state and variance `steps` readings later, in closed form.
 
@@ -70,11 +82,11 @@ def predict(x: float, P: float, steps: int, model: StateModel) -> tuple[float, f
     """
     if model.phi == 1.0:
         return x, P + steps * model.Q
-    decay = model.phi**steps
+    decay = whole_power(model.phi, steps)
     return decay * x, decay * decay * P + model.Q * (1.0 - decay * decay) / (1.0 - model.phi * model.phi)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def within_gate(distance: float, S: float, model: StateModel) -> bool:
     """Tell whether a reading that far from its prediction of variance S is to be believed; NaN and infinity are not."""
     return distance * distance <= model.gate * model.gate * S
@@ -89,14 +101,14 @@ def start_kalman(model: StateModel) -> NDArray[np.void]:
     return now
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def forget(now: Record, model: StateModel) -> None:
     """Return to the prior."""
     now.x, now.P, now.u = 0.0, model.prior_P, 0.0
     now.hole, now.windowed = NEVER, 0
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def meet(now: Record, model: StateModel, index: int, z: float, status: int) -> tuple[int, bool, float, float]:
     """Bring the state up to just before a reading, across those that lack.
 
@@ -129,7 +141,7 @@ def meet(now: Record, model: StateModel, index: int, z: float, status: int) -> t
     return flags, usable, m, M
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def log_density(now: Record, error: float, S: float) -> float:
     """Return the logarithm of the normal density of variance S at this error; its logarithm is kept while S lasts."""
     if now.S != S:
@@ -138,7 +150,7 @@ def log_density(now: Record, error: float, S: float) -> float:
     return -0.5 * (LOG_2PI + log_S + error * error / S)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def run_kalman(
     state: NDArray[np.void],
     model: StateModel,
@@ -225,7 +237,7 @@ def start_aem(model: StateModel, rule: AemRule) -> AemState:
     return state
 
 
-@njit(cache=True, nogil=True, inline="always")  # a call would count references of all its arrays: twice the time
+@kernel(inline="always")  # a call would count references of all its arrays: twice the time
 def slope_spread(z: Floats, rule: AemRule, scratch: Floats) -> float:
     """Return the largest less the smallest slope between neighbours on the curve fitted to readings z, in slope units.
 
@@ -248,7 +260,7 @@ def slope_spread(z: Floats, rule: AemRule, scratch: Floats) -> float:
     return (high - low) / rule.slope_unit_V
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def likelihood_constant(v: int, variance_terms: float, model: StateModel, rule: AemRule) -> float:
     """Return the part of the expected log-likelihood that no pass changes: eq. 7 as printed, and the variances.
 
@@ -260,7 +272,7 @@ def likelihood_constant(v: int, variance_terms: float, model: StateModel, rule: 
     return -0.5 * (printed + variance_terms)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def tabulate_filter(P0: float, v: int, model: StateModel, rule: AemRule, table: Floats, total: Floats) -> None:
     """Fill the tables of a window whose E step is the Kalman filter's.
 
@@ -293,7 +305,7 @@ def tabulate_filter(P0: float, v: int, model: StateModel, rule: AemRule, table: 
     total[5] = likelihood_constant(v, variances, model, rule)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def filter_window(x: float, z: Floats, phi: float, table: Floats) -> tuple[float, float, float, float]:
     """Return a, q1, q0 (less its constant) and the last x of a window's filter with u = 0; see tabulate_filter."""
     a = q1 = squares = 0.0
@@ -306,7 +318,7 @@ def filter_window(x: float, z: Floats, phi: float, table: Floats) -> tuple[float
     return a, q1, -0.5 * squares, x
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def tabulate_smoother(
     P0: float, v: int, model: StateModel, rule: AemRule, table: Floats, total: Floats, scratch: Floats
 ) -> None:
@@ -347,7 +359,7 @@ def tabulate_smoother(
     total[5] = likelihood_constant(v, variances + P / P0, model, rule)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def smooth_window(
     x0: float, z: Floats, model: StateModel, table: Floats, total: Floats, scratch: Floats
 ) -> tuple[float, float, float, float]:
@@ -368,7 +380,7 @@ def smooth_window(
     return a, q1 - total[6] * start / total[0], -0.5 * (squares + start * start / total[0]), last
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def stopping_pass(
     a: float, rho: float, q0: float, q1: float, q2: float, v: int, R: float, rule: AemRule
 ) -> tuple[float, int]:
@@ -392,7 +404,7 @@ def stopping_pass(
     return a + rho * u, rule.r_max
 
 
-@njit(cache=True, nogil=True, inline="always")  # a call would count references of all its arrays: twice the time
+@kernel(inline="always")  # a call would count references of all its arrays: twice the time
 def maximise(state: AemState, model: StateModel, rule: AemRule, j: int, end: int) -> tuple[float, float, float, int]:
     """Return x, P, u and passes of the window of length number j that ends before place `end` of the rings."""
     v = rule.windows[j]
@@ -411,7 +423,7 @@ def maximise(state: AemState, model: StateModel, rule: AemRule, j: int, end: int
     return x + total[2] * u, total[1], u, passes
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def run_aem(
     state: AemState,
     model: StateModel,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aemd.block import ESTIMATE, NOT_A_VALUE, Block
+from aemd.estimate.compiled import choose
 from aemd.estimate.imm import ImmOptions, imm_model
 from aemd.estimate.imm_kernels import run_imm, start_imm
 from aemd.estimate.kalman import columns_of
@@ -93,7 +94,8 @@ class Likelihood:
         pairs = (0,) * model.cos.size
         total = 0.0
         for columns in self._columns:
-            ready = run_imm(pairs, start_imm(model, 0), model, *columns, self._out)
+            run = choose(run_imm, columns[0].size, few=0)
+            ready = run(pairs, start_imm(model, 0), model, *columns, self._out)
             total += float(self._out["log_likelihood"][:ready].sum())
         return total
 

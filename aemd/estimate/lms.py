@@ -6,10 +6,10 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
-from numba import njit
 from numpy.typing import NDArray
 
 from aemd.block import ESTIMATE, NOT_A_VALUE, READING, Block, Estimates, Status
+from aemd.estimate.compiled import choose, kernel
 from aemd.estimate.kalman import columns_of, rows_for
 from aemd.estimate.options import Count, Positive, check_bounds, discrete_phi
 
@@ -74,10 +74,11 @@ class Lms:
     name = "lms"
     lag = 0
 
-    def __init__(self, options: LmsOptions, interval_s: float) -> None:
+    def __init__(self, options: LmsOptions, interval_s: float, few: int = 0) -> None:
         discrete_phi(1.0, interval_s)  # refuses an interval that cannot be
         self.options = options
         self.interval_s = interval_s
+        self._few = few
         self._rule = LmsRule(
             normalised=options.form == "normalised",
             step=float(options.step),
@@ -98,7 +99,8 @@ class Lms:
     def push(self, block: Block) -> Estimates:
         """Return the estimates of these readings."""
         estimates = rows_for(block)
-        run_lms(self._now, self._line, self._weights, self._rule, *columns_of(block), estimates)
+        run = choose(run_lms, block.size, self._few)
+        run(self._now, self._line, self._weights, self._rule, *columns_of(block), estimates)
         return estimates
 
     def flush(self) -> Estimates:
@@ -133,7 +135,7 @@ NOW = np.dtype(
 """What is carried from reading to reading, beside line and weights."""
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def shift_in(line: NDArray[np.float64], z: float) -> None:
     """Put a reading in front of the line; the oldest falls out."""
     for j in range(line.size - 1, 0, -1):
@@ -141,13 +143,13 @@ def shift_in(line: NDArray[np.float64], z: float) -> None:
     line[0] = z
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def believable(e: float, S: float, rule: LmsRule) -> bool:
     """Tell whether an error is within the gate; not one that is NaN or infinite, nor any once S has overflowed."""
     return e * e <= rule.gate * rule.gate * S < math.inf
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def adapt(w: NDArray[np.float64], line: NDArray[np.float64], e: float, rule: LmsRule) -> None:
     """Step the weights down the gradient of e^2."""
     step = rule.step * e
@@ -160,7 +162,7 @@ def adapt(w: NDArray[np.float64], line: NDArray[np.float64], e: float, rule: Lms
         w[j] += step * line[j]
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def run_lms(
     now: NDArray[np.void],
     line: NDArray[np.float64],

@@ -18,7 +18,7 @@ class Filterpy:
     name = "filterpy"
     lag = 0
 
-    def __init__(self, options: KalmanOptions, interval_s: float) -> None:
+    def __init__(self, options: KalmanOptions, interval_s: float, few: int = 0) -> None:  # noqa: ARG002 - never compiled
         self.options = options
         self.interval_s = interval_s
         self._model = state_model(options, interval_s)

@@ -25,11 +25,11 @@ class Rem:
     name = "rem"
     lag = 0
 
-    def __init__(self, options: RemOptions, interval_s: float) -> None:
+    def __init__(self, options: RemOptions, interval_s: float, few: int = 0) -> None:
         self.options = options
         self.interval_s = interval_s
         none = np.zeros((0, 0))
-        self._filter = EmFilter(options, interval_s, (options.window,), (), none, none, 1.0)
+        self._filter = EmFilter(options, interval_s, (options.window,), (), none, none, 1.0, few)
 
     def push(self, block: Block) -> Estimates:
         """Return the estimates of these readings."""

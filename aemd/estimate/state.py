@@ -14,9 +14,9 @@ import numpy as np
 
 from aemd.estimate.protocol import Estimator
 
-__all__ = ["copy_state", "load_state", "save_state", "write_state"]
+__all__ = ["copy_state", "count_numbers", "load_state", "save_state", "write_state"]
 
-_MADE_OF = {"options", "interval_s", "_model", "_rule", "_pairs"}
+_MADE_OF = {"options", "interval_s", "_few", "_model", "_rule", "_pairs"}
 """Attributes that come from the options; they never change."""
 
 _Put = Callable[[Any], None]
@@ -27,6 +27,11 @@ def copy_state(estimator: Estimator) -> dict[str, Any]:
     return {
         place: value.copy() if isinstance(value, np.ndarray) else value for place, value, _ in _places(estimator, "")
     }
+
+
+def count_numbers(estimator: Estimator) -> int:
+    """Return how many numbers an estimator carries from reading to reading."""
+    return sum(value.size if isinstance(value, np.ndarray) else 1 for _, value, _ in _places(estimator, ""))
 
 
 def write_state(state: Mapping[str, Any]) -> dict[str, str]:
