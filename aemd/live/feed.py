@@ -1,4 +1,4 @@
-"""The live view's own thread: takes what is in the inbox ten times a second, and makes what is sent to whoever looks.
+"""The live view's own thread: takes what is in the inbox up to ten times a second, and makes what is sent to whoever looks.
 
 What is sent is made once and kept until the next tick: eight browsers with the same view cost one conversion. A viewer
 holds a place (the newest bins it has), so one that is slow gets, when it comes back, the bins since then in one piece:
@@ -23,7 +23,9 @@ from aemd.live.pyramid import Pyramid, bin_ns
 
 __all__ = ["About", "Feed", "Place", "to_json"]
 
-TICK_S = 0.1  # ten frames a second
+TICK_S = 0.1  # up to ten frames a second
+READINGS = 3  # that are worth a frame
+LONGEST_TICK_S = 0.25
 IDLE_TICK_S = 0.5  # while nobody looks: the history is kept, and nothing is sent
 SLOW_S = 1.0  # histogram, Allan deviation, disk
 
@@ -88,6 +90,7 @@ class Feed:
         self._history = History()
         self._health = Health(about.interval_s, clock())
         self._started_ns = utc()
+        self._tick_s = min(max(TICK_S, READINGS * about.interval_s), LONGEST_TICK_S)
         self._news = threading.Condition()  # between the live view's own threads
         self._ticks = 0
         self._ticked_ns = self._slow_ns = clock()
@@ -118,7 +121,7 @@ class Feed:
         return self._closed.is_set()
 
     def _run(self) -> None:
-        while not self._closed.wait(TICK_S if self._viewers else IDLE_TICK_S):
+        while not self._closed.wait(self._tick_s if self._viewers else IDLE_TICK_S):
             self.tick()
 
     def tick(self) -> None:

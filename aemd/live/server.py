@@ -239,7 +239,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise Refusal(404, "there are: / /stream /window /status /health /metrics")
 
     def _stream(self, feed: Feed, span_ns: int, columns: int) -> None:
-        """Send what is new, ten times a second, for as long as the viewer reads it."""
+        """Send what is new, up to ten times a second, for as long as the viewer reads it."""
         if not self.server.free_streams.acquire(blocking=False):
             raise Refusal(503, f"{MOST_STREAMS} views are open; close one")
         feed.watching(1)
