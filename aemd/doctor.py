@@ -4,7 +4,6 @@ Everything is asked through the driver, so any driver's instrument can be examin
 driver may answer by a function `characterise` (see `agilent34410.characterise`).
 """
 
-import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from aemd.acquire.acquisition import Acquisition
-from aemd.acquire.devices import list_devices
-from aemd.acquire.instrument import find_driver
+from aemd.acquire.instrument import BusyError, Instrument, OtherInstrumentError, RefusedError, find_driver
+from aemd.acquire.reach import name_obstacle, way_to
 from aemd.block import READING, Block, Event, Status
 from aemd.config import Config
 from aemd.errors import InstrumentError, RecordingError, UsageError
@@ -22,6 +21,8 @@ from aemd.session import opened, simulated
 
 __all__ = ["Check", "Examination", "characterise", "examine"]
 
+TIMEOUT_S = 2.0  # where a driver's options name none
+COMMAS = 3  # at least, in an answer to *IDN? (IEEE 488.2, 10.14)
 LEAST_READINGS = 30
 MEASURED_S = 3.0
 LONGEST_S = 60.0
@@ -51,26 +52,35 @@ class Examination:
 def examine(config: Config) -> Examination:
     """Check permissions, link, identity, line frequency, error queue and timing by a short measurement."""
     checks = _permissions(config.resource)
+    link = Check("link", ok=True, found=config.resource)
     try:
         with opened(config) as instrument:
-            checks.append(Check("link", ok=True, found=config.resource))
+            checks.append(link)
             said = instrument.identity
             name = " ".join(said.get(key, "") for key in ("manufacturer", "model", "serial", "firmware")).strip()
             checks.append(Check("identity", ok=True, found=name))
             checks += _line_frequency(instrument.settings)
-            wanted = max(LEAST_READINGS, round(MEASURED_S / instrument.interval_s))
-            wanted = max(1, min(wanted, round(LONGEST_S / instrument.interval_s)))
-            begun_s = time.monotonic()
-            with Acquisition(instrument, most_readings=wanted, give_up_s=5.0) as acquisition:
-                batches = list(acquisition.batches())
-            took_s = time.monotonic() - begun_s
-            block = np.concatenate([np.empty(0, READING), *(batch.readings for batch in batches)])
-            events = [event for batch in batches for event in batch.events]
-            checks += _queue(events)
-            checks += _timing(instrument.interval_s, config, acquisition.clock_facts(), block, took_s)
-            checks += _losses(acquisition, block)
+            checks += _measure(instrument, config)
+    except OtherInstrumentError as error:
+        checks += [
+            link,
+            Check("identity", ok=False, found=str(error), advice=_way_to_ours(config.resource, error.said)),
+        ]
+    except BusyError as error:
+        advice = "stop the other program (`aemd status` shows a service of ours); two cannot share a meter's memory"
+        checks += [link, Check("in use", ok=False, found=str(error), advice=advice)]
+    except RefusedError as error:
+        advice = "change what the config's [instrument] asks for as it says; the link is good"
+        checks += [link, Check("settings", ok=False, found=str(error), advice=advice)]
     except InstrumentError as error:
-        checks.append(Check("link", ok=False, found=str(error), advice=_way_to(config.resource)))
+        if link in checks:
+            advice = "close other programs that use the meter, check its cable, then switch it off and on"
+            checks.append(Check("stream", ok=False, found=str(error), advice=advice))
+        else:
+            # Of an obstacle the check of permissions has told.
+            timeout_s = getattr(config.instrument, "timeout_s", TIMEOUT_S)
+            advice = way_to(config.resource, timeout_s) if all(check.ok for check in checks) else ""
+            checks.append(Check("link", ok=False, found=str(error), advice=advice))
     return Examination(config.resource, all(check.ok for check in checks), tuple(checks))
 
 
@@ -100,22 +110,38 @@ def characterise(config: Config, out: Path) -> Mapping[str, str]:
 
 
 def _permissions(resource: str) -> list[Check]:
-    if resource.upper().startswith("ASRL"):
-        path = resource[4:].partition("::")[0]
-        ok = os.access(path, os.R_OK | os.W_OK)
-        return [Check("permission", ok=ok, found=path, advice="" if ok else "join the group that owns it (dialout)")]
-    if not resource.upper().startswith("USB"):
+    if not resource.upper().startswith(("ASRL", "USB")):
         return []
-    blocked = [device for device in list_devices(0.0, search=False) if device.link == "USB" and device.hint]
-    return [Check("permission", ok=False, found=device.found, advice=device.hint) for device in blocked] or [
-        Check("permission", ok=True, found="every USB-TMC device that is there may be opened")
+    if obstacle := name_obstacle(resource):
+        return [Check("permission", ok=False, found=resource, advice=obstacle)]
+    return [Check("permission", ok=True, found="it is there and may be opened")]
+
+
+def _way_to_ours(resource: str, said: str) -> str:
+    if said.count(",") >= COMMAS:
+        return (
+            "another instrument is there: check the address (`aemd devices` lists what can be reached), or name its"
+            " driver as `driver` in the config's [instrument]"
+        )
+    if resource.upper().startswith("ASRL"):
+        return "what came is no name: set baud_rate, parity and flow_control to those of the meter's menu, 8 data bits"
+    return "what answers there is no instrument: check address and port; the raw socket of a meter is at port 5025"
+
+
+def _measure(instrument: Instrument, config: Config) -> list[Check]:
+    wanted = max(LEAST_READINGS, round(MEASURED_S / instrument.interval_s))
+    wanted = max(1, min(wanted, round(LONGEST_S / instrument.interval_s)))
+    begun_s = time.monotonic()
+    with Acquisition(instrument, most_readings=wanted, give_up_s=5.0) as acquisition:
+        batches = list(acquisition.batches())
+    took_s = time.monotonic() - begun_s
+    block = np.concatenate([np.empty(0, READING), *(batch.readings for batch in batches)])
+    events = [event for batch in batches for event in batch.events]
+    return [
+        *_queue(events),
+        *_timing(instrument.interval_s, config, acquisition.clock_facts(), block, took_s),
+        *_losses(acquisition, block),
     ]
-
-
-def _way_to(resource: str) -> str:
-    if resource.upper().startswith("TCPIP"):
-        return "check power, cable and address; `aemd devices --host ADDRESS` asks whether somebody answers there"
-    return "check power and cable; `aemd devices` lists what is there"
 
 
 def _line_frequency(settings: Mapping[str, str]) -> list[Check]:

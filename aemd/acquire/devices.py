@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
 
-__all__ = ["Device", "list_devices"]
+__all__ = ["SYSFS", "Device", "list_devices", "list_usb"]
 
 PORT = 5025  # of a raw SCPI socket, by its entry in the IANA list
 HIGHEST_PORT = 65_535
@@ -54,7 +54,7 @@ def list_devices(
         searches.append(Thread(target=_list_resources, args=(listed, timeout_s), daemon=True))
     for one in searches:
         one.start()
-    usb = _list_usb(usb_tree)
+    usb = list_usb(usb_tree)
     end_s = time.monotonic() + timeout_s
     for one in searches:
         one.join(max(0.0, end_s - time.monotonic()))
@@ -65,6 +65,27 @@ def list_devices(
         *sorted(named, key=lambda device: (device.resource, device.found)),
         *(device for device in others if device.resource not in known),
     ]
+
+
+def list_usb(tree: Path = SYSFS) -> list[Device]:
+    """Return the USB-TMC devices by what the kernel says of them, which needs no permission."""
+    found = []
+    for interface in sorted(tree.glob("*:*")) if tree.is_dir() else []:
+        if (_text(interface / "bInterfaceClass"), _text(interface / "bInterfaceSubClass")) != USB_TMC:
+            continue
+        device = tree / interface.name.partition(":")[0]
+        vendor, product, serial = (_text(device / name) for name in ("idVendor", "idProduct", "serial"))
+        said = " ".join(filter(None, (_text(device / "manufacturer"), _text(device / "product")))) or "a USB-TMC device"
+        resource = f"USB0::0x{vendor}::0x{product}::{serial}::INSTR"
+        node = f"/dev/bus/usb/{_text(device / 'busnum'):0>3}/{_text(device / 'devnum'):0>3}"
+        hint = ""
+        if not os.access(node, os.R_OK | os.W_OK):
+            hint = (
+                f"no permission for {node}: install the udev rule (`sudo aemd install-service --system`; --dry-run"
+                " shows it), then plug it in again"
+            )
+        found.append(Device(resource, "USB", said, hint))
+    return found
 
 
 def _list_resources(listed: list[str], timeout_s: float) -> None:
@@ -117,24 +138,6 @@ def _port(text: str) -> int:
     if not (text.isascii() and text.isdigit() and 0 < int(text) <= HIGHEST_PORT):
         raise ValueError(f"{text!r} is not a port, which is a number from 1 to {HIGHEST_PORT}")
     return int(text)
-
-
-def _list_usb(tree: Path) -> list[Device]:
-    """Return the USB-TMC devices by what the kernel says of them, which needs no permission."""
-    found = []
-    for interface in sorted(tree.glob("*:*")) if tree.is_dir() else []:
-        if (_text(interface / "bInterfaceClass"), _text(interface / "bInterfaceSubClass")) != USB_TMC:
-            continue
-        device = tree / interface.name.partition(":")[0]
-        vendor, product, serial = (_text(device / name) for name in ("idVendor", "idProduct", "serial"))
-        said = " ".join(filter(None, (_text(device / "manufacturer"), _text(device / "product")))) or "a USB-TMC device"
-        resource = f"USB0::0x{vendor}::0x{product}::{serial}::INSTR"
-        node = f"/dev/bus/usb/{_text(device / 'busnum'):0>3}/{_text(device / 'devnum'):0>3}"
-        hint = ""
-        if not os.access(node, os.R_OK | os.W_OK):
-            hint = f"no permission for {node}: install the udev rule (aemd install-service), then plug it in again"
-        found.append(Device(resource, "USB", said, hint))
-    return found
 
 
 def _text(path: Path) -> str:

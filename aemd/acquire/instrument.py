@@ -14,15 +14,18 @@ from typing import Any, Protocol, cast, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from aemd.errors import ConfigError, not_among
+from aemd.errors import ConfigError, InstrumentError, not_among
 
 __all__ = [
+    "BusyError",
     "Clock",
     "Drain",
     "Driver",
     "Instrument",
+    "OtherInstrumentError",
     "Recoverable",
     "Recovery",
+    "RefusedError",
     "Simulator",
     "find_driver",
     "find_simulator",
@@ -30,6 +33,27 @@ __all__ = [
 
 Clock = Callable[[], int]
 """Host monotonic time, ns (`time.monotonic_ns`); an argument everywhere, so that a test can move it."""
+
+
+class OtherInstrumentError(InstrumentError):
+    """Something answers there, and it is no instrument of this driver: nothing is wrong with the link.
+
+    Args:
+        message: as of every InstrumentError.
+        said: what it answered when it was asked who it is.
+    """
+
+    def __init__(self, message: str, said: str) -> None:
+        super().__init__(message)
+        self.said = said
+
+
+class BusyError(InstrumentError):
+    """The instrument answers, and another program is taking readings out of it, which must not be disturbed."""
+
+
+class RefusedError(InstrumentError):
+    """The instrument answers, and cannot do what the config asks: nothing is wrong with the link."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +171,9 @@ class Driver(Protocol):
         """Open, identify and configure the instrument.
 
         Raises:
-            InstrumentError: nobody answers, it is another instrument, or it cannot do what the options ask.
+            InstrumentError: nobody answers; for `aemd doctor` to tell them apart, OtherInstrumentError where it is
+                another instrument, BusyError where another program uses it, RefusedError where it cannot do what the
+                options ask.
         """
 
 

@@ -22,6 +22,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar
 
+from aemd.acquire.instrument import OtherInstrumentError, RefusedError
 from aemd.errors import InstrumentError
 from agilent34410.link import Link
 
@@ -107,7 +108,7 @@ class Dialogue:
         """
         refusal = self.ask(f"{command};:SYST:ERR?")
         if not is_no_error(refusal):
-            raise InstrumentError(f"{self.resource}: {command}: the meter refused: {refusal}; see its manual")
+            raise RefusedError(f"{self.resource}: {command}: the meter refused: {refusal}; see its manual")
 
     def look(self) -> Look:
         """Ask how many readings wait and what went wrong; asking for the events clears them.
@@ -212,9 +213,10 @@ class Dialogue:
         masks = self._integers(self._link.query(question), question, 2)
         self._numbers, self._journal_numbers = (_numbers_within(mask) for mask in masks)
         if min(len(self._numbers), len(self._journal_numbers)) < 1 << FEWEST_BITS:
-            raise InstrumentError(
+            raise OtherInstrumentError(
                 f"{self.resource}: {question}: the answer {masks} shows status registers without room for numbers;"
-                " this is no meter of the family that it says it is of"
+                " this is no meter of the family that it says it is of",
+                self._identity,
             )
 
     def _next_number(self) -> int:

@@ -37,6 +37,7 @@ from pyvisa.errors import VisaIOError
 from pyvisa.resources import MessageBasedResource
 from pyvisa.rname import ResourceName
 
+from aemd.acquire.reach import name_obstacle
 from aemd.errors import InstrumentError
 from agilent34410.usbtmc import clear_usbtmc
 
@@ -164,10 +165,10 @@ class _VisaLink:
         except Exception as error:
             _close_sockets_left_by(error)
             _manager.leave()
-            raise InstrumentError(
-                f"{resource}: cannot open: {_one_line(error)}; is it a VISA resource such as"
-                " TCPIP0::192.168.1.5::5025::SOCKET, and is the instrument on?"
-            ) from error
+            way_out = name_obstacle(resource) or (
+                "is it a VISA resource such as TCPIP0::192.168.1.5::5025::SOCKET, and is the instrument on?"
+            )
+            raise InstrumentError(f"{resource}: cannot open: {_one_line(error)}; {way_out}") from error
         session = cast("MessageBasedResource", opened)
         self._session: MessageBasedResource | None = session
         library: Any = session.visalib

@@ -6,15 +6,17 @@ n while sampling goes on. One trigger gives SAMP:COUN readings, at most 50,000; 
 and with it the timer anew (34410A manual, PRH 787, 795, 1791).
 """
 
+import time
 from collections.abc import Callable, Mapping
 from math import inf, nan
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aemd.acquire.instrument import Clock, Drain, Recovery
+from aemd.acquire.instrument import Clock, Drain, OtherInstrumentError, Recovery, RefusedError
 from aemd.block import Status
 from aemd.errors import InstrumentError
+from agilent34410.busy import MEASURING_OR_WAITING, refuse_busy
 from agilent34410.dialogue import Dialogue, is_no_error
 from agilent34410.link import Link, open_link
 from agilent34410.models import LACKING, MEMORY_READINGS
@@ -30,14 +32,17 @@ NOT_A_NUMBER_V = 9.91e37
 
 TIMING_VIOLATION = 1 << 2  # Questionable Data: a sample timer event came before the reading was done (PRH 1517)
 MEMORY_OVERFLOW = 1 << 14  # Questionable Data: readings were overwritten; no error is queued (PRH 1791)
-MEASURING_OR_WAITING = 1 << 4 | 1 << 5  # Standard Operation condition: the trigger system is not idle
 
 ERROR_QUEUE_ENTRIES = 20  # then the last becomes -350, so more questions than this find it empty
 ERRORS_EVERY_NS = 1_000_000_000  # the queue is a second opinion: the stream's own faults are status bits
 
 
 def open_instrument(
-    resource: str, options: Options, clock: Clock, open_line: Callable[[], Link] | None = None
+    resource: str,
+    options: Options,
+    clock: Clock,
+    open_line: Callable[[], Link] | None = None,
+    sleep: Callable[[float], None] = time.sleep,
 ) -> "Meter":
     """Open the link, make sure of the instrument, configure it and read everything back.
 
@@ -46,9 +51,11 @@ def open_instrument(
         options: its settings.
         clock: host monotonic time, ns.
         open_line: opens a line to it, now and after a failure; None for pyvisa's.
+        sleep: waits so many seconds of `clock`, to see whether a meter that samples already is being read.
 
     Raises:
-        InstrumentError: nobody answers, it is another instrument, it refused a setting, or it cannot keep the interval.
+        InstrumentError: nobody answers, it is another instrument, another program is reading it, it refused a setting,
+            or it cannot keep the interval.
     """
 
     def open_visa() -> Link:
@@ -61,6 +68,7 @@ def open_instrument(
             link.clear()  # a USB line keeps what a program that was killed had asked for, and gives it to the next
         answer = link.query("*IDN?")
         identity = _identify(answer, link.resource)
+        refuse_busy(link, sleep)
         dialogue = Dialogue(opener, link, answer)
     except BaseException:
         link.close()  # and say nothing more to a stranger
@@ -237,7 +245,7 @@ class Meter:
         if self.interval_s >= needed_s:
             return
         zero = " and its zero" if autozero else ""
-        raise InstrumentError(
+        raise RefusedError(
             f"{self._dialogue.resource}: interval_s = {self.interval_s:g}: a reading{zero} takes {factor} x"
             f" {aperture_s * 1e3:g} ms ({source}), and the meter's least interval is {shortest_s * 1e3:g} ms;"
             f" ask for {needed_s:g} s or more, a shorter aperture{', or autozero off' if autozero else ''}"
@@ -260,13 +268,14 @@ def _identify(answer: str, resource: str) -> dict[str, str]:
     fields = [field.strip() for field in answer.split(",")]
     model = fields[1] if len(fields) == 4 else ""
     if model in LACKING:
-        raise InstrumentError(
+        raise OtherInstrumentError(
             f"{resource}: this is {answer!r}: {LACKING[model]}, so equal intervals without a gap cannot be had of it;"
-            f" use one of {', '.join(MEMORY_READINGS)}"
+            f" use one of {', '.join(MEMORY_READINGS)}",
+            answer,
         )
     if model not in MEMORY_READINGS:
-        raise InstrumentError(
-            f"{resource}: this is {answer!r}, not one of {', '.join(MEMORY_READINGS)}; check the address"
+        raise OtherInstrumentError(
+            f"{resource}: this is {answer!r}, not one of {', '.join(MEMORY_READINGS)}; check the address", answer
         )
     return {**dict(zip(("manufacturer", "model", "serial", "firmware"), fields, strict=True)), "resource": resource}
 

@@ -1,9 +1,18 @@
 """`aemd devices` and `aemd doctor`, on the simulated meter and on none."""
 
 import json
+import time
+from contextlib import closing
 from pathlib import Path
 
+import pytest
+
+import agilent34410
+from aemd.acquire.acquisition import Acquisition
+from aemd.config import load_config
+from aemd.session import simulated
 from tests.cli.asking import Run, refused
+from tests.cli.test_meters import talking
 
 
 def test_a_meter_that_is_fit_passes_every_check(aemd: Run) -> None:
@@ -24,7 +33,83 @@ def test_a_meter_that_is_not_there_fails_with_what_to_do(aemd: Run) -> None:
     assert code == 1
     assert (check["name"], check["ok"]) == ("link", False)
     assert "refused" in check["found"]
-    assert "aemd devices --host" in check["advice"]
+    assert "has nothing at port 1:" in check["advice"]
+
+
+STRANGERS = {
+    "another meter": (b"KEITHLEY INSTRUMENTS INC.,MODEL 2000,1234,A20\n", "another instrument is there"),
+    "a web server": (b"HTTP/1.1 400 Bad Request\r\n\r\n", "what answers there is no instrument"),
+}
+
+
+@pytest.mark.parametrize("name", STRANGERS)
+def test_a_stranger_is_no_fault_of_the_link(name: str, aemd: Run) -> None:
+    answer, advice = STRANGERS[name]
+    with talking(answer) as resource:
+        code, out, _ = aemd("doctor", "--resource", resource, "--json")
+    link, identity = json.loads(out)["checks"]
+
+    assert code == 1
+    assert (link["name"], link["ok"]) == ("link", True)
+    assert (identity["name"], identity["ok"]) == ("identity", False)
+    assert answer.decode().split()[0] in identity["found"]
+    assert advice in identity["advice"]
+
+
+def test_a_silent_listener_takes_connections_and_does_not_answer(aemd: Run, tmp_path: Path) -> None:
+    config = tmp_path / "c.toml"
+    with talking(None) as resource:
+        config.write_text(f'[instrument]\nresource = "{resource}"\ntimeout_s = 0.3\n')
+        code, out, _ = aemd("doctor", config, "--json")
+    (check,) = json.loads(out)["checks"]
+
+    assert code == 1
+    assert (check["name"], check["ok"]) == ("link", False)
+    assert "does not answer as an instrument does" in check["advice"]
+
+
+def test_a_setting_that_the_meter_cannot_keep_is_no_fault_of_the_link(aemd: Run, tmp_path: Path) -> None:
+    config = tmp_path / "c.toml"
+    config.write_text('[instrument]\nresource = "sim"\nnplc = 10\ninterval_s = 0.06712\n')
+    code, out, _ = aemd("doctor", config, "--json")
+    checks = {check["name"]: check for check in json.loads(out)["checks"]}
+
+    assert code == 1
+    assert checks["link"]["ok"]
+    assert "interval_s" in checks["settings"]["found"]
+
+
+def test_a_meter_in_use_is_left_alone(aemd: Run, tmp_path: Path) -> None:
+    fast = agilent34410.Options(nplc=0.2, autozero="off", interval_s=0.01)
+    config = tmp_path / "c.toml"
+    with (
+        simulated(load_config(None)) as resource,
+        closing(agilent34410.open_instrument(resource, fast, time.monotonic_ns)) as instrument,
+        Acquisition(instrument, most_readings=300) as acquisition,
+    ):
+        config.write_text(f'[instrument]\nresource = "{resource}"\n')
+        code, out, _ = aemd("doctor", config, "--json")
+        taken = sum(batch.readings.size for batch in acquisition.batches())
+    checks = {check["name"]: check for check in json.loads(out)["checks"]}
+
+    assert code == 1
+    assert checks["link"]["ok"]
+    assert "stop the other program" in checks["in use"]["advice"]
+    assert (taken, acquisition.counts.lost, acquisition.outages) == (300, 0, 0)
+
+
+def test_a_meter_that_a_dead_program_left_sampling_is_taken_over(aemd: Run, tmp_path: Path) -> None:
+    fast = agilent34410.Options(nplc=0.2, autozero="off", interval_s=0.01, timeout_s=1.0)
+    config = tmp_path / "c.toml"
+    with simulated(load_config(None)) as resource:
+        instrument = agilent34410.open_instrument(resource, fast, time.monotonic_ns)
+        instrument.start()
+        instrument.drain(1)
+        instrument._dialogue.close()  # killed: not a word more, and the meter goes on
+        config.write_text(f'[instrument]\nresource = "{resource}"\n')
+        code, out, err = aemd("doctor", config, "--json")
+
+    assert code == 0, (out, err)
 
 
 def test_an_overload_is_found(aemd: Run, tmp_path: Path) -> None:
