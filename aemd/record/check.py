@@ -13,6 +13,7 @@ from mcap import records
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, ChunkIndex, Footer, MetadataIndex
 from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
 
 from aemd.block import Batch, Estimates
 from aemd.errors import RecordingError
@@ -30,6 +31,7 @@ _HELD_OF_CHUNKS = (
     *("chunk_start_offset", "chunk_length", "compression", "compressed_size", "uncompressed_size"),
     *("message_start_time", "message_end_time"),
 )
+_TURN = 1 << 32  # a message has so many numbers; nobody loses half of them, which is days, in a file that goes on
 _MOST_FINDINGS = 20  # a file that is wrong throughout is not told of chunk by chunk
 
 
@@ -79,6 +81,8 @@ class _Checker:
         self._last = (-1, -1)
         """Index of the first reading, and of the last one."""
         self._estimate_first = self._estimate_last = -1
+        self._turns = {"readings": 0, "estimates": 0}
+        """Of 2^32 numbers, by which the full ones are too high because chunks are not in their order."""
         self._kinds = recording.kinds
 
     def run(self) -> CheckResult:
@@ -93,7 +97,7 @@ class _Checker:
         if has_end(self._octets):
             self._hold_end(noted)
         else:
-            self._find("it has no end: it was not finished; `aemd recover` finishes it")
+            self._find(self._what_follows() or "it has no end: it was not finished; `aemd recover` finishes it")
         if self._unsaid:
             self._findings.append(f"and {self._unsaid} more")
         if self._counts.lost:
@@ -158,6 +162,15 @@ class _Checker:
         found = next(walk(self._octets, at), None)
         return None if found is None else parse(Footer, self._octets, found)
 
+    def _what_follows(self) -> str:
+        """Tell of what is behind an end that is in the middle of the file; empty if there is none."""
+        for record in walk(self._octets):
+            end = record.end + len(MCAP0_MAGIC)
+            if record.opcode == Opcode.FOOTER and self._octets[record.end : end] == MCAP0_MAGIC:
+                rest = f"{len(self._octets) - end} bytes follow that belong to nothing"
+                return f"it ends at byte {end}, and {rest}; `aemd recover` cuts them off"
+        return ""
+
     # Chunks.
 
     def _take(self, chunk: Record, indexes: list[Record], told: ChunkIndex | None) -> None:
@@ -175,6 +188,8 @@ class _Checker:
             self._messages[channel] = self._messages.get(channel, 0) + count
         self._full.restore(contents.piece)
         batch, estimates = make_batch(contents.piece)
+        self._turn_back("readings", batch.readings["index"], self._counts.next_index)
+        self._turn_back("estimates", estimates["index"], self._estimate_last)
         self._hold_continuity(place, batch)
         self._hold_pairs(place, estimates)
         self._counts.add(batch, estimates)
@@ -214,6 +229,14 @@ class _Checker:
         self._log_time_ns = max(self._log_time_ns, int(times.max()))
         if (head.message_start_time, head.message_end_time) != (times.min(), times.max()):
             self._find(f"{place} says that it begins or ends at another time than its messages do")
+
+    def _turn_back(self, of: str, index: NDArray[np.int64], before: int) -> None:
+        """Take numbers that seem to be a turn ahead as what they are: a chunk's that is not in its place."""
+        if len(index):
+            index -= self._turns[of] * _TURN
+            if before >= 0 and index[0] - before > _TURN // 2:
+                self._turns[of] += 1
+                index -= _TURN
 
     def _hold_continuity(self, place: str, batch: Batch) -> None:
         self._told |= {(event.first_index, event.last_index) for event in batch.events if event.last_index >= 0}

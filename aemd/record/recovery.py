@@ -9,6 +9,7 @@ file's end. Each step leaves a file from which a recovery that is itself interru
 import mmap
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,11 +83,17 @@ def recover(path: Path) -> Recovery:
 
 
 def recover_folder(folder: Path) -> Iterator[str]:
-    """Recover every unfinished recording of the folder that nobody writes; yield a line about each, failures too."""
+    """Recover every unfinished recording of the folder that nobody writes; yield a line about each, failures too.
+
+    One that was begun and got no reading is removed: it would be told of at every start, for ever.
+    """
     for path in sorted(folder.glob(f"*.mcap{_ACTIVE}")):
         if _is_being_written(path):
             continue
         try:
+            if _remove_unused(path):
+                yield f"removed={path} readings=0"
+                continue
             found = recover(path)
         except RecordingError as error:
             yield f"not recovered: {error}"
@@ -106,6 +113,27 @@ def _is_being_written(path: Path) -> bool:
         return not try_lock(fd)
     finally:
         os.close(fd)
+
+
+def _remove_unused(path: Path) -> bool:
+    """Remove a file that has the beginning of a recording and nothing behind it; tell whether it was one.
+
+    Nothing means zeros, which are room that was kept for what comes. Whatever else follows may be what is left of a
+    chunk, and stays. An empty file stays, too: somebody may be about to lock it.
+    """
+    with suppress(OSError, RecordingError), path.open("rb") as file:
+        if not try_lock(file.fileno()):
+            return False
+        found, _ = _look(path, file.fileno())
+        file.seek(found.end)
+        if found.chunks or found.counts.readings or found.stretches or found.is_ended:
+            return False
+        while piece := file.read(_CRC_PIECE_BYTES):
+            if piece.strip(b"\0"):
+                return False
+        path.unlink()
+        return True
+    return False
 
 
 def _recover(path: Path, target: Path, fd: int) -> Recovery:

@@ -109,3 +109,33 @@ def test_bytes_behind_the_end_are_found_even_if_they_are_another_recording(
     assert check(tmp_path / "two.mcap").findings == (
         f"its end is at byte {len(good) - 8}, and bytes follow that belong to nothing",
     )
+
+
+def test_rubbish_behind_the_end_is_told_of_as_that(record: Callable[..., Path], tmp_path: Path) -> None:
+    readings = readings_of(20)
+    good = record([(Batch(readings), estimates_of(readings))]).read_bytes()
+    (tmp_path / "more.mcap").write_bytes(good + b"rubbish")
+
+    assert check(tmp_path / "more.mcap").findings == (
+        f"it ends at byte {len(good)}, and 7 bytes follow that belong to nothing; `aemd recover` cuts them off",
+    )
+
+
+def test_chunks_that_changed_places_are_told_of_as_that_and_not_as_a_loss_of_milliards(
+    record: Callable[..., Path], tmp_path: Path
+) -> None:
+    """A message has the lower 32 bits of its number, so a step back of ten looks like one ahead of 2^32 - 10."""
+    readings = readings_of(60)
+    octets = record([(Batch(readings), estimates_of(readings))], chunk_bytes=2500).read_bytes()
+    second, third, fourth = [at for opcode, at, _ in records_of(octets) if opcode == 0x06][1:4]
+    swapped = octets[:second] + octets[third:fourth] + octets[second:third] + octets[fourth:]
+    (tmp_path / "swapped.mcap").write_bytes(swapped)
+
+    found = check(tmp_path / "swapped.mcap")
+
+    told = "; ".join(found.findings)
+    step = re.search(r"has reading (\d+) after reading (\d+)", told)
+    assert step
+    assert int(step[1]) <= int(step[2]) < 60
+    assert "42949" not in told
+    assert found.lost < 60

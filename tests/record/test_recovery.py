@@ -312,3 +312,40 @@ def test_all_that_is_left_in_a_folder_is_recovered_with_a_line_each(
 def test_what_is_no_file_of_a_disk_is_one_line_and_no_fault_of_stdout() -> None:
     with pytest.raises(RecordingError, match="/dev/null: cannot be recovered: "):
         recover(Path("/dev/null"))
+
+
+@pytest.mark.parametrize("behind", [b"", bytes(9000)])
+def test_a_file_that_never_got_a_reading_is_removed_and_not_told_of_again(tmp_path: Path, behind: bytes) -> None:
+    recorder = Recorder(tmp_path / "begun.mcap", DESCRIPTION)
+    active = recorder.active
+    begun = active.read_bytes()
+    recorder.close("stop")
+    (tmp_path / "begun.mcap").unlink()
+    active.write_bytes(begun + behind)
+
+    assert list(recover_folder(tmp_path)) == [f"removed={active} readings=0"]
+    assert not active.exists()
+
+
+@pytest.mark.parametrize("behind", [b"\x06" + bytes(40), b"something"])
+def test_a_file_with_anything_behind_its_beginning_is_not_removed(tmp_path: Path, behind: bytes) -> None:
+    recorder = Recorder(tmp_path / "begun.mcap", DESCRIPTION)
+    active = recorder.active
+    begun = active.read_bytes().rstrip(b"\0")
+    recorder.close("stop")
+    active.write_bytes(begun + behind)
+    (tmp_path / "empty.mcap.active").touch()  # somebody may be about to lock it
+
+    lines = list(recover_folder(tmp_path))
+
+    assert [line.split(":")[0] for line in lines] == ["not recovered"] * 2
+    assert active.exists()
+    assert (tmp_path / "empty.mcap.active").exists()
+
+
+def test_a_file_that_somebody_has_just_begun_is_left_to_them(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "begun.mcap", DESCRIPTION)
+
+    assert list(recover_folder(tmp_path)) == []
+    assert recorder.active.exists()
+    recorder.close("stop")
