@@ -1,4 +1,4 @@
-"""The live view's own thread: takes what is in the inbox up to ten times a second, and makes what is sent to whoever looks.
+"""The live view's own thread: takes what is in the inbox some times a second, and makes what is sent to who looks.
 
 What is sent is made once and kept until the next tick: eight browsers with the same view cost one conversion. A viewer
 holds a place (the newest bins it has), so one that is slow gets, when it comes back, the bins since then in one piece:
@@ -211,9 +211,16 @@ class Feed:
         if now_ns - self._ticked_ns > 10 * IDLE_TICK_S * 1e9:
             return f"live view: no tick for {(now_ns - self._ticked_ns) * 1e-9:.0f} s"
         if why := self._health.complaint(now_ns):
-            return why
+            return why + (self._of_the_link() if why.startswith("acquisition") else "")
         why = self._sources.not_recording()
         return f"recording: stopped, {self._sources.not_written()} readings not written: {why}" if why else ""
+
+    def _of_the_link(self) -> str:
+        """Return what a lost link adds to a complaint; empty while it is there."""
+        told = [event.message for event in list(self._history.events) if event.kind == "link"]
+        if not told or told[-1].startswith("back"):
+            return ""
+        return "; the link is lost, and tried again and again: what the meter keeps meanwhile will follow"
 
     def status(self) -> dict[str, Any]:
         """Return the state in plain values, for programs."""
@@ -256,6 +263,6 @@ class Feed:
             "viewers": self._viewers,
             "events": [
                 {"time_s": event.t_ns * 1e-9, "kind": event.kind, "message": event.message}
-                for event in self._history.events
+                for event in list(self._history.events)  # in one go: the other thread adds to them
             ],
         }

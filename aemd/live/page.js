@@ -90,12 +90,13 @@ function quantity(value, digits = 5) {
   return `${withSign(scaled, Math.max(0, digits - whole))} ${name}`;
 }
 
-// As the meter's own display has it: fixed decimals, no prefix.
+// To the last digit of the meter's own display.
 function atMeterDigits(value) {
   if (value === null) return "no value";
   const digit = Math.abs(shown.status.factor) * shown.status.resolution_V;
   if (!(digit > 0)) return quantity(value, 7);
-  return `${withSign(value, Math.min(12, Math.max(0, Math.ceil(-Math.log10(digit) - 1e-9))))} ${unit()}`;
+  const [size, name] = prefixFor(Math.abs(value));
+  return `${withSign(value / size, Math.min(12, Math.max(0, Math.ceil(-Math.log10(digit / size) - 1e-9))))} ${name}`;
 }
 
 function bytes(count) {

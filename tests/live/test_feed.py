@@ -143,6 +143,18 @@ def test_silence_of_the_meter_is_a_complaint_and_passes_when_it_speaks_again(ben
     assert bench.feed.complaint() == ""
 
 
+def test_a_lost_link_is_named_as_the_cause_of_silence_until_it_is_back(bench: Bench) -> None:
+    complaints = []
+    for message in ("lost: TCPIP0::x::SOCKET: no whole answer within 1 s", "back after 6.000 s: opened again"):
+        bench.inbox.write(Batch(make_block([]), (Event(T0_NS, "link", message),)), np.empty(0, ESTIMATE))
+        bench.now_ns += 6 * 10**9
+        bench.feed.tick()
+        complaints.append(bench.feed.complaint())
+
+    assert "; the link is lost" in complaints[0]
+    assert complaints[1] == "acquisition: no reading for 12 s"
+
+
 def test_a_writer_that_stands_still_is_a_complaint_while_readings_come(bench: Bench) -> None:
     for second in range(8):
         bench.unwritten = second * 15
