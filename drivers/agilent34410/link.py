@@ -3,8 +3,8 @@
 What was measured of pyvisa-py 0.8 and is guarded against here:
 
 - A socket to a refused port opens without an error; the first exchange fails. So opening is not proof: identify.
-- A peer that has gone is reported as a timeout, and with an infinite timeout never. So every timeout is finite, and
-  after one a socket is asked whether its other end is closed.
+- A peer that has gone is reported as a timeout, and with an infinite timeout never. So every timeout is finite, after
+  one VXI-11's socket is asked whether its other end is closed, and a raw socket is read here (`socket_reader`).
 - With the termination character on, each 0x0A inside a binary block costs a read. So blocks are read with it off, by
   exact count.
 - A late answer is given to the next question. So a link that failed refuses questions until it is drained or cleared,
@@ -39,6 +39,7 @@ from pyvisa.rname import ResourceName
 
 from aemd.acquire.reach import name_obstacle
 from aemd.errors import InstrumentError
+from agilent34410.socket_reader import SilenceError, SocketReader, count_digits, read_size
 from agilent34410.usbtmc import clear_usbtmc
 
 __all__ = ["Link", "open_link"]
@@ -176,6 +177,8 @@ class _VisaLink:
         session.timeout = timeout_ms
         session.write_termination = "\n"
         session.read_termination = "\n"
+        line = self._inner.interface
+        self._reader = SocketReader(line, timeout_s) if isinstance(line, socket.socket) else None
         # On USB-TMC and VXI-11 one read is one message; a socket and a serial line have no ends of messages.
         self._is_message_based = session.interface_type == InterfaceType.usb or hasattr(self._inner, "link")
 
@@ -190,7 +193,7 @@ class _VisaLink:
     def query(self, command: str) -> str:
         with self._failures(command) as session:
             session.write(command)
-            answer = self._read(session, LONGEST_ANSWER)
+            answer = self._read_line(session)
             if not answer.endswith(b"\n"):
                 raise ValueError(f"no end of line within {LONGEST_ANSWER} bytes")
             return answer.decode("ascii", errors="backslashreplace").strip()
@@ -198,15 +201,9 @@ class _VisaLink:
     def query_block(self, command: str, most: int) -> tuple[bytes, str]:
         with self._failures(command) as session:
             session.write(command)
-            session.read_termination = None
-            try:
-                content, rest = (
-                    self._read_message(session, most) if self._is_message_based else _read_stream(session, most)
-                )
-            finally:
-                session.read_termination = "\n"
+            content, rest = self._read_block(session, most)
             if not rest.endswith(b"\n"):
-                rest += self._read(session, LONGEST_ANSWER)
+                rest += self._read_line(session)
             return content, rest.decode("ascii", errors="backslashreplace").strip()
 
     def drain(self) -> None:
@@ -229,6 +226,18 @@ class _VisaLink:
     def close(self) -> None:
         self._close(dead=False)
 
+    def _read_line(self, session: MessageBasedResource) -> bytes:
+        return self._read(session, LONGEST_ANSWER) if self._reader is None else self._reader.read_line(LONGEST_ANSWER)
+
+    def _read_block(self, session: MessageBasedResource, most: int) -> tuple[bytes, bytes]:
+        if self._reader is not None:
+            return self._reader.read_block(most)
+        session.read_termination = None
+        try:
+            return self._read_message(session, most) if self._is_message_based else _read_stream(session, most)
+        finally:
+            session.read_termination = "\n"
+
     def _read(self, session: MessageBasedResource, most: int) -> bytes:
         # Not `session.read`, which goes on for as long as bytes come: a peer that never ends its line is no meter.
         with session.ignore_warning(StatusCode.success_max_count_read, StatusCode.success_termination_character_read):
@@ -236,8 +245,8 @@ class _VisaLink:
 
     def _read_message(self, session: MessageBasedResource, most: int) -> tuple[bytes, bytes]:
         message = self._read(session, most + ROUND_A_BLOCK)
-        digits = _count_digits(message[:2])
-        size = _size(message[2 : 2 + digits], most)
+        digits = count_digits(message[:2])
+        size = read_size(message[2 : 2 + digits], most)
         content = message[2 + digits : 2 + digits + size]
         if len(content) < size:
             raise ValueError(f"{len(content)} bytes came of a block of {size}")
@@ -258,8 +267,8 @@ class _VisaLink:
             finally:
                 session.timeout = self._timeout_s * 1000
         line = self._inner.interface
-        if isinstance(line, socket.socket):
-            self._inner._pending_buffer.clear()  # noqa: SLF001 - pyvisa-py's `clear` would do it, see the head
+        if self._reader is not None:
+            self._reader.forget()
             if not select.select([line], [], [], QUIET_S)[0]:
                 return False
             if not line.recv(1 << 16):
@@ -283,7 +292,7 @@ class _VisaLink:
             self._failed = False
         except Exception as error:
             self._failed = True
-            if isinstance(error, VisaIOError) and error.error_code == StatusCode.error_timeout:
+            if _is_silence(error):
                 what = f"no whole answer within {self._timeout_s:g} s"
                 if self._is_hung_up():
                     what += ", and the other end has closed the connection"
@@ -333,23 +342,16 @@ def _find_host(resource: str) -> None:
 
 def _read_stream(session: MessageBasedResource, most: int) -> tuple[bytes, bytes]:
     """Read `#`, the number of digits, that many digits, that many bytes, and the byte after them."""
-    digits = _count_digits(session.read_bytes(2))
-    size = _size(session.read_bytes(digits), most)
+    digits = count_digits(session.read_bytes(2))
+    size = read_size(session.read_bytes(digits), most)
     block = session.read_bytes(size + 1, chunk_size=size + 1)  # in one read
     return block[:size], block[size:]
 
 
-def _count_digits(mark: bytes) -> int:
-    if mark[:1] != b"#" or mark[1:] not in (b"1", b"2", b"3", b"4", b"5", b"6", b"7", b"8", b"9"):
-        raise ValueError(f"the answer begins with {mark!r} instead of a block's #")
-    return int(mark[1:])
-
-
-def _size(digits: bytes, most: int) -> int:
-    size = int(digits)
-    if not 0 <= size <= most:
-        raise ValueError(f"a block of {size} bytes where there can be {most} at most")
-    return size
+def _is_silence(error: Exception) -> bool:
+    return isinstance(error, SilenceError) or (
+        isinstance(error, VisaIOError) and error.error_code == StatusCode.error_timeout
+    )
 
 
 def _is_nonsense(error: Exception) -> bool:

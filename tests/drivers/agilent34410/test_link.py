@@ -1,5 +1,8 @@
 import re
+import socket
 import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, suppress
 
 import pytest
 
@@ -63,12 +66,58 @@ def test_a_refused_port_is_found_out_by_the_first_question() -> None:
         link.query("*IDN?")
 
 
-def test_a_peer_that_hangs_up_is_an_error_within_the_timeout() -> None:
-    with stranger(lambda line: None) as resource:
-        link = opened(resource)
-
-        with pytest.raises(InstrumentError, match="no whole answer"):
+def test_a_peer_that_hangs_up_is_an_error_at_once() -> None:
+    with stranger(lambda line: None) as resource, closing(open_link(resource, 10.0)) as link:
+        begun_s, begun_cpu_s = time.monotonic(), time.thread_time()
+        with pytest.raises(InstrumentError, match="the other end has closed the connection"):
             link.query("*IDN?")
+
+        assert time.monotonic() - begun_s < 5.0  # not after the timeout of 10 s
+        assert time.thread_time() - begun_cpu_s < 1.0
+        assert not link.is_open
+
+
+@pytest.mark.parametrize("pieces", [1, 7, 300])
+def test_a_block_is_whole_however_it_is_cut_on_its_way(pieces: int) -> None:
+    content = bytes(range(256)) * 4  # every byte, so newlines, too
+    answer = b"#41024" + content + b";+17\n"
+    with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor(1) as pool:
+
+        def serve() -> None:
+            line, _ = listener.accept()
+            with line:
+                line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                for _ in range(2):
+                    line.recv(100)
+                    size = -(-len(answer) // pieces)
+                    for at in range(0, len(answer), size):
+                        line.sendall(answer[at : at + size])
+                        time.sleep(0)  # the reader has its turn between two of them
+
+        served = pool.submit(serve)
+        with closing(open_link(f"TCPIP0::127.0.0.1::{listener.getsockname()[1]}::SOCKET", 5.0)) as link:
+            for _ in range(2):
+                assert link.query_block("R? 128;:STAT:QUES:ENAB?", 1024) == (content, ";+17")
+        served.result()
+
+
+def test_an_answer_that_never_ends_is_given_up_after_the_timeout_however_often_something_comes() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor(1) as pool:
+
+        def serve() -> None:
+            line, _ = listener.accept()
+            with line, suppress(ConnectionError):
+                line.recv(100)
+                while line.send(b"x"):
+                    time.sleep(0.01)
+
+        served = pool.submit(serve)
+        with closing(open_link(f"TCPIP0::127.0.0.1::{listener.getsockname()[1]}::SOCKET", 0.3)) as link:
+            begun_s = time.monotonic()
+            with pytest.raises(InstrumentError, match="no whole answer"):
+                link.query("*IDN?")
+            assert 0.25 < time.monotonic() - begun_s < 3.0
+        served.result()
 
 
 def test_a_link_that_failed_is_used_again_only_after_what_came_late_was_thrown_away() -> None:
