@@ -176,9 +176,8 @@ class _Checker:
     def _take(self, chunk: Record, indexes: list[Record], told: ChunkIndex | None) -> None:
         self._chunks += 1
         place = f"the chunk at byte {chunk.at}"
-        bodies = [self._octets[index.begin : index.end] for index in indexes]
         try:
-            contents = open_chunk(self._octets[chunk.begin : chunk.end], bodies, self._kinds)
+            contents = open_chunk(self._octets, chunk, indexes, self._kinds)
         except BadChunkError as error:
             self._find(f"{place} {error}")
             return

@@ -8,8 +8,9 @@ And the other way: rows packed into a chunk with its message indexes.
 """
 
 import struct
-from collections.abc import Container, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from mmap import mmap
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,8 @@ from aemd.record.cut import Messages, Piece
 from aemd.record.rows import Rows, rows_at
 from aemd.record.schema import COLUMNS, FILTERED, RAW, RECORDS, WITNESS, Layout, decode_event
 from aemd.record.summary import encode, encode_index
-from aemd.record.unpack import BadChunkError, unpack
+from aemd.record.unpack import BadChunkError, Head, unpack
+from aemd.record.walk import Record
 
 __all__ = ["BadChunkError", "Contents", "FullIndexes", "MessageKind", "decode_chunk", "encode_chunk", "open_chunk"]
 
@@ -47,15 +49,21 @@ class MessageKind:
 
 
 def decode_chunk(
-    record: bytes, indexes: Iterable[bytes], kinds: Mapping[int, MessageKind], wanted: Container[str], base: int
+    octets: mmap,
+    chunk: Record,
+    indexes: Sequence[Record],
+    kinds: Mapping[int, MessageKind],
+    wanted: Container[str],
+    base: int,
 ) -> tuple[dict[str, Messages], int]:
     """Return the messages of the wanted topics, and the bytes that the chunk unpacks to.
 
     An index still lacks its upper bits: it is the 32-bit sequence number.
 
     Args:
-        record: the body of the Chunk record.
-        indexes: bodies of the MessageIndex records that follow it; some may be missing.
+        octets: the file.
+        chunk: the Chunk record.
+        indexes: the MessageIndex records that follow it; some may be missing.
         kinds: by channel number.
         wanted: topics whose messages to return.
         base: what all chunks before it unpacked to.
@@ -63,15 +71,15 @@ def decode_chunk(
     Raises:
         BadChunkError: the chunk is damaged or not of its schema.
     """
-    _, data = unpack(record)
-    octets = np.frombuffer(data, np.uint8)
+    _, data = unpack(octets, chunk)
+    messages = np.frombuffer(data, np.uint8)
     try:
-        starts = _starts_by_index(indexes, octets, kinds)
-        return _decode(octets, starts, kinds, wanted, base), len(data)
+        starts = _starts_by_index(_bodies(octets, indexes), messages, kinds)
+        return _decode(messages, starts, kinds, wanted, base), len(data)
     except (_Misplaced, DecodeError):
         pass  # the index is a hint: no CRC of its own covers it
     try:
-        return _decode(octets, _starts_by_walking(data), kinds, wanted, base), len(data)
+        return _decode(messages, _starts_by_walking(data), kinds, wanted, base), len(data)
     except (_Misplaced, DecodeError) as error:
         raise BadChunkError("holds a message that is not of its schema") from error
 
@@ -80,8 +88,8 @@ def decode_chunk(
 class Contents:
     """All that a chunk holds."""
 
-    head: Chunk
-    """As stored."""
+    head: Head
+    """What the chunk says of them."""
     rows: Rows
     """Its messages as they are, in order."""
     piece: Piece
@@ -108,31 +116,33 @@ class Contents:
         return _chunk_index(self.head, self.index_records(), offset, length, indexes_at)
 
 
-def open_chunk(record: bytes, indexes: Iterable[bytes], kinds: Mapping[int, MessageKind]) -> Contents:
+def open_chunk(octets: mmap, chunk: Record, indexes: Sequence[Record], kinds: Mapping[int, MessageKind]) -> Contents:
     """Return all that the chunk holds, whatever its indexes say; arguments and errors as of `decode_chunk`."""
-    head, data = unpack(record)
-    octets = np.frombuffer(data, np.uint8)
+    head, data = unpack(octets, chunk)
+    messages = np.frombuffer(data, np.uint8)
     topics = {kind.topic for kind in kinds.values()}
     try:
-        starts = _starts_by_index(indexes, octets, kinds)
-        piece = _decode(octets, starts, kinds, topics, 0)
+        starts = _starts_by_index(_bodies(octets, indexes), messages, kinds)
+        piece = _decode(messages, starts, kinds, topics, 0)
     except (_Misplaced, DecodeError):
         try:
             starts = _starts_by_walking(data)
-            piece = _decode(octets, starts, kinds, topics, 0)
+            piece = _decode(messages, starts, kinds, topics, 0)
         except (_Misplaced, DecodeError) as error:
             raise BadChunkError("holds a message that is not of its schema") from error
     begin = np.concatenate([np.empty(0, np.int64), *starts.values()])
     order = np.argsort(begin, kind="stable")
     channel = np.repeat(np.array(list(starts), np.uint16), [len(each) for each in starts.values()])
-    log_time = _rows(octets, _HEAD, begin[order])["times"][:, 0].astype(np.int64)
-    return Contents(head, Rows(octets, channel[order], log_time, begin[order]), piece)
+    log_time = _rows(messages, _HEAD, begin[order])["times"][:, 0].astype(np.int64)
+    return Contents(head, Rows(messages, channel[order], log_time, begin[order]), piece)
 
 
 def encode_chunk(
     rows: Rows, compressor: zstandard.ZstdCompressor | None, offset: int
-) -> tuple[bytes, ChunkIndex, dict[int, int]]:
+) -> tuple[list[bytes], ChunkIndex, dict[int, int]]:
     """Return a chunk of these messages, at least one, with its message indexes; and what the summary wants to know.
+
+    The bytes come in parts, to be written one after the other: joined, they would be copied once more.
 
     Args:
         rows: the messages.
@@ -140,19 +150,20 @@ def encode_chunk(
         offset: where in the file the chunk will be.
     """
     octets = rows.octets.data  # a copy of its own would cost more than the checksum
-    head = Chunk(
-        compression="zstd" if compressor else "",
-        data=compressor.compress(octets) if compressor else bytes(octets),
+    packed = compressor.compress(octets) if compressor else bytes(octets)
+    head = Head(
         message_start_time=int(rows.log_time[0]),
         message_end_time=int(rows.log_time[-1]),
-        uncompressed_crc=crc32(octets),
         uncompressed_size=len(octets),
+        uncompressed_crc=crc32(octets),
+        compression="zstd" if compressor else "",
+        compressed_size=len(packed),
     )
     begin, indexes = _until_data(head), _index_records(rows)
-    length = len(begin) + len(head.data)
+    length = len(begin) + len(packed)
     index = _chunk_index(head, indexes, offset, length, offset + length)
     counts = {channel: len(rows.start[mine]) for channel, mine in rows.places().items()}
-    return b"".join([begin, head.data, *indexes.values()]), index, counts
+    return [begin, packed, *indexes.values()], index, counts
 
 
 class FullIndexes:
@@ -180,13 +191,21 @@ class _Misplaced(Exception):  # noqa: N818 - never leaves this file
     """Where a message of this channel should begin there is none."""
 
 
-def _until_data(chunk: Chunk) -> bytes:
+def _until_data(head: Head) -> bytes:
     """Return the Chunk record up to its data, which the mcap package would copy three times."""
-    empty = encode(replace(chunk, data=b""))
-    length = len(empty) - _FRAME.size + len(chunk.data)
-    return (
-        _FRAME.pack(Opcode.CHUNK, length) + empty[_FRAME.size : -_DATA_LENGTH.size] + _DATA_LENGTH.pack(len(chunk.data))
+    empty = encode(
+        Chunk(
+            compression=head.compression,
+            data=b"",
+            message_start_time=head.message_start_time,
+            message_end_time=head.message_end_time,
+            uncompressed_crc=head.uncompressed_crc,
+            uncompressed_size=head.uncompressed_size,
+        )
     )
+    length = len(empty) - _FRAME.size + head.compressed_size
+    told = _DATA_LENGTH.pack(head.compressed_size)
+    return _FRAME.pack(Opcode.CHUNK, length) + empty[_FRAME.size : -len(told)] + told
 
 
 def _index_records(rows: Rows) -> dict[int, bytes]:
@@ -195,7 +214,7 @@ def _index_records(rows: Rows) -> dict[int, bytes]:
     }
 
 
-def _chunk_index(head: Chunk, indexes: Mapping[int, bytes], offset: int, length: int, indexes_at: int) -> ChunkIndex:
+def _chunk_index(head: Head, indexes: Mapping[int, bytes], offset: int, length: int, indexes_at: int) -> ChunkIndex:
     offsets, at = {}, indexes_at
     for channel, octets in indexes.items():
         offsets[channel] = at
@@ -204,13 +223,17 @@ def _chunk_index(head: Chunk, indexes: Mapping[int, bytes], offset: int, length:
         chunk_length=length,
         chunk_start_offset=offset,
         compression=head.compression,
-        compressed_size=len(head.data),
+        compressed_size=head.compressed_size,
         message_end_time=head.message_end_time,
         message_index_length=at - indexes_at,
         message_index_offsets=offsets,
         message_start_time=head.message_start_time,
         uncompressed_size=head.uncompressed_size,
     )
+
+
+def _bodies(octets: mmap, indexes: Sequence[Record]) -> Iterator[bytes]:
+    return (octets[index.begin : index.end] for index in indexes)
 
 
 def _starts_by_index(

@@ -118,9 +118,8 @@ def _around(path: Path, octets: mmap.mmap) -> tuple[list[Schema], list[Channel],
 def _rows(path: Path, octets: mmap.mmap, kinds: dict[int, MessageKind]) -> Iterator[Rows]:
     """Yield what each chunk holds."""
     for chunk, indexes in _chunks(octets):
-        bodies = [octets[index.begin : index.end] for index in indexes]
         try:
-            yield open_chunk(octets[chunk.begin : chunk.end], bodies, kinds).rows
+            yield open_chunk(octets, chunk, indexes, kinds).rows
         except BadChunkError as error:
             raise RecordingError(f"{path}: is damaged: its chunk at byte {chunk.at} {error}") from error
 

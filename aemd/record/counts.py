@@ -42,7 +42,7 @@ class Counts:
         block = batch.readings
         self.estimates += len(estimates)
         if len(block):
-            index = block["index"]
+            index = np.ascontiguousarray(block["index"])  # else each of them is fetched twice, past all its columns
             self.gaps += int(index[0] > self.next_index and not self._ends_in_gap)
             self.gaps += int(np.count_nonzero(index[1:] - index[:-1] > 1))
             self._ends_in_gap = False

@@ -314,9 +314,8 @@ class Recording:
         indexes_of = FullIndexes(self.description.first_index)
         base = 0
         for chunk, indexes in self._chunks():
-            bodies = (self._map[index.begin : index.end] for index in indexes)
             try:
-                piece, length = decode_chunk(self._map[chunk.begin : chunk.end], bodies, self.kinds, topics, base)
+                piece, length = decode_chunk(self._map, chunk, indexes, self.kinds, topics, base)
             except BadChunkError as error:
                 raise RecordingError(f"{self.path}: is damaged: its chunk at byte {chunk.at} {error}") from error
             base += length

@@ -198,9 +198,9 @@ def _write(fd: int, found: Survey, report: Recovery) -> None:
         happened = [encode_event(event) for event in found.lost]
         instants = np.array([event.t_ns for event in found.lost], np.int64)
         rows = merge([Track(found.channels[EVENT].id, instants, happened)], found.last_log_time_ns)
-        chunk, index, messages = encode_chunk(rows, zstandard.ZstdCompressor(), offset + len(tail))
+        parts, index, messages = encode_chunk(rows, zstandard.ZstdCompressor(), offset + len(tail))
         found.summary.add_chunk(index, messages)
-        tail += chunk
+        tail += b"".join(parts)
     facts = {
         "reason": "recovered",
         "dropped_bytes": str(report.dropped_bytes),

@@ -163,6 +163,8 @@ class Layout:
     """Packed: the Message record's header, then a tag and a value for each field."""
     constants: Mapping[str, int]
     """What every such row holds: opcode, length, and the tag of each field."""
+    blank: Rows
+    """One row with these, and zeros for the rest; shape (1,)."""
 
     def make_rows(self, count: int, channel: int) -> Rows:
         """Return that many rows of the channel, times and values not yet filled in."""
@@ -172,9 +174,7 @@ class Layout:
 
     def mark(self, rows: Rows, channel: int) -> None:
         """Write into these rows what every row of the channel holds, and zeros for the rest."""
-        row = np.zeros(1, self.row)
-        for name, constant in self.constants.items():
-            row[name] = constant
+        row = self.blank.copy()
         row["channel"] = channel
         as_bytes = f"V{self.row.itemsize}"  # numpy would copy field by field
         rows.view(as_bytes)[:] = row.view(as_bytes)
@@ -223,7 +223,11 @@ def make_layout(schema_data: bytes, name: str, required: Iterable[str]) -> Layou
         columns += [(f"{field.name}.tag", "u1"), (field.name, width)]
         constants[f"{field.name}.tag"] = field.number << 3 | wire_type
     row = np.dtype(columns)
-    return Layout(row=row, constants={**constants, "length": row.itemsize - _FRAME_BYTES})
+    constants["length"] = row.itemsize - _FRAME_BYTES
+    blank = np.zeros(1, row)
+    for name, constant in constants.items():
+        blank[name] = constant
+    return Layout(row, constants, blank)
 
 
 def fill_rows(rows: Rows, name: str, values: NDArray[np.void]) -> None:

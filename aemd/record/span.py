@@ -88,7 +88,7 @@ def _loose(octets: mmap, messages: list[Record]) -> Span:
 
 def _in_chunk(octets: mmap, chunk: Record, indexes: Sequence[Record], place: str) -> Span:
     try:
-        _, unpacked = unpack(octets[chunk.begin : chunk.end])
+        _, unpacked = unpack(octets, chunk)
         whole = np.frombuffer(unpacked, np.uint8)
         starts = _starts_by_index(whole, [octets[index.begin : index.end] for index in indexes])
         # Without an index, or with one that does not account for every byte: from record to record.

@@ -111,5 +111,5 @@ def encode_index(channel: int, log_time: NDArray[np.integer], start: NDArray[np.
     """Return the MessageIndex record of one channel's messages in a chunk: log times, and where each begins."""
     entries = np.empty(len(start), _INDEX_ENTRY)
     entries["log_time"], entries["offset"] = log_time, start
-    body = entries.tobytes()
-    return struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(body), channel, len(body)) + body
+    head = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + entries.nbytes, channel, entries.nbytes)
+    return b"".join([head, entries.data])

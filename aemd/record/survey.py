@@ -238,9 +238,8 @@ class _Surveyor:
         found.last_log_time_ns = max(found.last_log_time_ns, contents.head.message_end_time)
 
     def _open(self, record: Record, indexes: list[Record]) -> Contents | None:
-        bodies = [self._octets[index.begin : index.end] for index in indexes]
         try:
-            return open_chunk(self._octets[record.begin : record.end], bodies, self._found.kinds)
+            return open_chunk(self._octets, record, indexes, self._found.kinds)
         except BadChunkError:
             return None
 

@@ -6,7 +6,7 @@ a file, only). What is written by size only does not depend on how the stream wa
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -289,7 +289,9 @@ class Recorder:
         """Move what the chunk holds from what waits to what is written, counted as a reader would."""
         held = {channel: len(chunk.start[mine]) for channel, mine in chunk.places().items()}
         readings, estimates, events = (held.get(self._ids.get(topic, 0), 0) for topic in (RAW, FILTERED, EVENT))
-        self._written.add(self._unwritten.take(readings, events), np.empty(estimates, ESTIMATE))
+        for batch in self._unwritten.take(readings, events):
+            self._written.add(batch, np.empty(0, ESTIMATE))
+        self._written.estimates += estimates
 
     def _write_config(self, log_time_ns: int) -> None:
         if self._config_waits:
@@ -318,18 +320,17 @@ class _Unwritten:
             self._blocks.append(batch.readings)
         self._events.extend(batch.events)
 
-    def take(self, readings: int, events: int) -> Batch:
+    def take(self, readings: int, events: int) -> Iterator[Batch]:
         """Take out the first so many of each."""
-        taken = []
         while readings:
             block = self._blocks.popleft()
             if len(block) > readings:
                 self._blocks.appendleft(block[readings:])
                 block = block[:readings]
-            taken.append(block)
             readings -= len(block)
-        happened = tuple(self._events.popleft() for _ in range(events))
-        return Batch(concatenate(taken) if taken else np.empty(0, READING), happened)
+            yield Batch(block)
+        if events:
+            yield Batch(np.empty(0, READING), tuple(self._events.popleft() for _ in range(events)))
 
 
 def _layout(name: str) -> Layout:

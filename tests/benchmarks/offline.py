@@ -27,6 +27,7 @@ from aemd.block import Batch, make_block
 from aemd.config import name_estimator
 from aemd.estimate.registry import make_estimator
 from aemd.record.description import Description
+from aemd.record.growing import compressor_for
 from aemd.record.reader import Recording
 from aemd.record.schema import FILTERED, RAW, SCHEMA_DATA, SCHEMAS
 from aemd.record.writer import Recorder
@@ -104,7 +105,8 @@ def loop(path: Path, out: Path) -> None:
 def bare(path: Path) -> None:
     """Unpack each chunk, estimate as many readings as it holds, and pack it again."""
     estimator = make_estimator("aem", name_estimator("aem").options, INTERVAL_S)
-    unpack, pack = zstandard.ZstdDecompressor(), zstandard.ZstdCompressor(level=-3)  # as a replay packs
+    unpack, pack = zstandard.ZstdDecompressor(), compressor_for("zstd-fast")  # as a replay packs
+    assert pack is not None
     block = make_block(np.round(1e-3 * np.random.default_rng(1).standard_normal(BLOCK), 8), interval_ns=1e5)
     done = 0
     for chunk in _chunks(path):

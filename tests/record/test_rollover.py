@@ -184,12 +184,12 @@ def refusing(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
     failing = threading.Event()
     written = GrowingFile._append_bytes
 
-    def append(self: GrowingFile, octets: bytes) -> None:
-        if failing.is_set() and octets[:1] == b"\x06":
+    def append(self: GrowingFile, *parts: bytes) -> None:
+        if failing.is_set() and parts[0][:1] == b"\x06":
             with self._or_fail():
-                os.pwrite(self._fd, octets[: len(octets) // 2], self._good_bytes)
+                os.pwrite(self._fd, parts[0] + parts[1][: len(parts[1]) // 2], self._good_bytes)
                 raise OSError(errno.EIO, "Input/output error")
-        written(self, octets)
+        written(self, *parts)
 
     monkeypatch.setattr(GrowingFile, "_append_bytes", append)
     yield failing
