@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aemd.diagnose.hypothesis import Data, Parts, Term
+from aemd.diagnose.hypothesis import Data, Parts, Seen, Term
 from aemd.diagnose.kernels import follow_telegraph, log_densities
 
 __all__ = [
@@ -43,28 +43,39 @@ def split(terms: Sequence[Term], theta: Floats) -> list[Floats]:
     return np.split(theta, np.cumsum([term.start.size for term in terms])[:-1])
 
 
-def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[float, Floats | None, tuple[Any, ...]]:
-    """Return the share that a smoothing keeps, what jumps between two levels, and the filter's arguments."""
+def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[Seen, Parts, tuple[Any, ...]]:
+    """Return what stands for the readings, the parts, and the filter's arguments beside the readings and their steps.
+
+    What was done to the readings last is undone first: a smoothing, then what a stated model has beside it.
+    """
     parts = Parts(np.zeros(data.y.size), np.zeros(data.y.size), np.ones(data.y.size))
     for term, numbers in zip(terms, split(terms, theta), strict=True):
         term.add(numbers, data, parts)
     states = np.array(parts.states, np.float64).reshape(-1, 6)  # of white noise alone there is none
-    arguments = (parts.mean, parts.noise_var, parts.scale, states, parts.shocks, parts.extras)
-    return parts.kept, parts.telegraph, arguments
+    seen = sharpened(data, parts.kept)
+    if parts.undo is not None:
+        seen = parts.undo(seen)
+    bounds = () if seen.low is None else (seen.low, seen.high)
+    shocks = np.concatenate((parts.shocks, parts.struck))
+    extras = np.concatenate((parts.extras, np.array(parts.tails).ravel()))
+    arguments = (parts.mean, parts.noise_var, parts.scale, states, shocks, extras, *bounds)
+    return seen, parts, arguments
 
 
-def sharpened(data: Data, kept: float) -> tuple[Floats, Floats | float]:
-    """Return the readings before a smoothing, and the logarithm of the density's factor for each, shape (n,).
-
-    After a gap the smoothed reading stands for itself.
-    """
+def sharpened(data: Data, kept: float) -> Seen:
+    """Return the readings before a smoothing; after a gap the smoothed reading stands for itself."""
     if kept == 0.0:
-        return data.y, 0.0
+        return Seen(data.y, data.low, data.high, 0.0)
     direct = data.used.copy()
     direct[0] = False
     direct[1:] &= data.used[:-1] & (np.diff(data.slot) == 1)
     before = np.concatenate(([0.0], data.y[:-1]))
-    return np.where(direct, (data.y - kept * before) / (1 - kept), data.y), np.where(direct, -np.log1p(-kept), 0.0)
+
+    def sharp(values: Floats) -> Floats:
+        return np.where(direct, (values - kept * before) / (1 - kept), values)
+
+    low, high = (None if values is None else sharp(values) for values in (data.low, data.high))
+    return Seen(sharp(data.y), low, high, np.where(direct, -np.log1p(-kept), 0.0))
 
 
 def score_log_likelihood(terms: Sequence[Term], theta: Floats, data: Data) -> float:
@@ -74,12 +85,11 @@ def score_log_likelihood(terms: Sequence[Term], theta: Floats, data: Data) -> fl
 
 def densities(terms: Sequence[Term], theta: Floats, data: Data) -> Floats:
     """Return the log density of each scaled reading, shape (n,)."""
-    kept, telegraph, arguments = assemble(terms, theta, data)
-    y, factor = sharpened(data, kept)
-    if telegraph is None:
-        each = log_densities(y, data.used, data.step_s, *arguments) + factor
+    seen, parts, arguments = assemble(terms, theta, data)
+    if parts.telegraph is None:
+        each = log_densities(seen.y, data.used, data.step_s, *arguments) + seen.log_slope
     else:
-        each = follow_telegraph(telegraph, y, data.used, data.step_s, *arguments)[0] + factor
+        each = follow_telegraph(parts.telegraph, seen.y, data.used, data.step_s, *arguments)[0] + seen.log_slope
     return each if np.isfinite(each).all() else np.full(each.size, -_IMPOSSIBLE)
 
 

@@ -19,7 +19,8 @@ from aemd.diagnose.checks.residuals import check_all
 from aemd.diagnose.evidence import Defect, Evidence
 from aemd.diagnose.fit import Fit, fit_base, refit, residuals, restart_base
 from aemd.diagnose.gain import SLOW, HeldOut, block_of, measure_gain
-from aemd.diagnose.given import Given, accept
+from aemd.diagnose.given import BOUNDED, Given, accept
+from aemd.diagnose.hidden import hidden
 from aemd.diagnose.hypothesis import Data, make_data
 from aemd.diagnose.intervals import covariance, describe
 from aemd.diagnose.naming import Named, name
@@ -80,12 +81,10 @@ def criticise(
     sd_V = float(np.sqrt(np.median(base.variance[base.data.used]))) * base.data.unit_V
     tell("checking the readings themselves")
     defects = check_raw(series, sd_V)
-    dropped = np.zeros(series.value_V.size, bool)
-    for defect in defects:
-        if defect.dropped is not None:
-            dropped |= defect.dropped
-    if (dropped & series.used).any():
-        base = _begin(make_data(series, dropped), series, stated)
+    expected = stated[1] if stated else frozenset[str]()
+    dropped, known = hidden(series, defects, expected & frozenset(BOUNDED), rounded=stated is not None)
+    if dropped.any() or known is not None:
+        base = _begin(make_data(series, dropped, known), series, stated)
 
     fit, before, named, seen, left = base, base, list[tuple[Evidence, Named]](), list[Evidence](), list[Evidence]()
     for number in range(_ROUNDS):
@@ -105,7 +104,6 @@ def criticise(
     full = fit
     fit, named = _pruned(fit, named)
     tell("measuring gains on held-out blocks")
-    expected = stated[1] if stated else frozenset[str]()
     findings = [_from_defect(defect, base) for defect in defects if defect.cause not in expected]
     spread = covariance(fit)
     explained = _explained(fit, named, spread, before if fit is full else None)

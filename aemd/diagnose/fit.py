@@ -36,6 +36,7 @@ _SHOCK_GAIN = 6.0  # nats that three more numbers must bring; half of chi-square
 _FEW_SHOCKS = 8.0  # expected in a record, below which they may be something else
 _SHORT = 5_000  # readings below which likelihoods have several tops, and more starts are tried
 _LONG = 20_000  # readings beyond which the mixture is first fitted to a part
+_LEAST_WHITE = 1e-8  # variance; what apertures average out may leave less than none
 _DECAYS = tuple(0.3 * 1.6**k for k in range(10))
 """Intervals that shocks of the starts take to decay."""
 _STARTERS = 6
@@ -63,6 +64,8 @@ class Fit:
     states: Floats
     mean: Floats
     """Deterministic part."""
+    y: Floats
+    """What stood for the readings, once what was done to them last is undone."""
     innovation: Floats
     """Reading less prediction."""
     white: float
@@ -93,13 +96,14 @@ class Fit:
 
 def residuals(terms: Sequence[Term], theta: Floats, data: Data) -> Fit:
     """Return the fit with these free numbers and what it leaves."""
-    kept, telegraph, arguments = assemble(terms, theta, data)
-    y, factor = sharpened(data, kept)
-    if telegraph is None:
-        each, z, predicted, variance, gains = predict(y, data.used, data.step_s, *arguments)
+    seen, parts, arguments = assemble(terms, theta, data)
+    if parts.telegraph is None:
+        each, z, predicted, variance, gains = predict(seen.y, data.used, data.step_s, *arguments)
     else:
-        each, z, predicted, variance, gains = follow_telegraph(telegraph, y, data.used, data.step_s, *arguments)
-    each = each + factor
+        each, z, predicted, variance, gains = follow_telegraph(
+            parts.telegraph, seen.y, data.used, data.step_s, *arguments
+        )
+    each = np.where(data.used, each + seen.log_slope, 0.0)
     return Fit(
         data=data,
         terms=tuple(terms),
@@ -112,8 +116,9 @@ def residuals(terms: Sequence[Term], theta: Floats, data: Data) -> Fit:
         gains=gains,
         states=arguments[3],
         mean=arguments[0],
-        innovation=(y - predicted) * (1 - kept),
-        white=float(np.sqrt(np.median(arguments[1]))),
+        y=seen.y,
+        innovation=(seen.y - predicted) * (1 - parts.kept),
+        white=sqrt(max(float(np.median(arguments[1])), _LEAST_WHITE)),
     )
 
 
@@ -244,7 +249,7 @@ def begin_with(fit: Fit, term: Term) -> list[Floats]:
     if not isinstance(fit.terms[0], Base):
         return [theta]
     if isinstance(term, Smoothing):  # what was smoothed has another spectrum
-        y, _ = sharpened(fit.data, term.kept)
+        y = sharpened(fit.data, term.kept).y
         theta[:5] = spectral_starts(replace(fit.data, y=y))[0][:5]
     elif isinstance(term, DifferenceNoise):  # white noise, or a signal no longer than a reading, stood for it
         known = fit.mean - fit.theta[5]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from aemd.diagnose.kernels import MARKOV
 from aemd.diagnose.series import Series
 
-__all__ = ["Base", "Data", "Parameter", "Parts", "Term", "base_start_with_shocks", "make_data"]
+__all__ = ["Base", "Data", "Parameter", "Parts", "Seen", "Term", "base_start_with_shocks", "make_data"]
 
 Floats = NDArray[np.float64]
 Bounds = tuple[float, float]
@@ -41,6 +41,13 @@ class Data:
     origin_V: float
     unit_V: float
     witnesses: Mapping[str, Floats] = field(default_factory=dict)
+    low: Floats | None = None
+    """Where of some readings only an interval is known: its lower end, scaled as they are; the reading itself where
+    it is known."""
+    high: Floats | None = None
+    """The upper end."""
+    aperture_s: float = 0.0
+    """Over which each reading is a mean; it matters to what is faster than the readings."""
 
     @property
     def n(self) -> int:
@@ -66,11 +73,22 @@ class Data:
             t_s=self.t_s[:count],
             slot=self.slot[:count],
             witnesses={name: values[:count] for name, values in self.witnesses.items()},
+            low=None if self.low is None else self.low[:count],
+            high=None if self.high is None else self.high[:count],
         )
 
 
-def make_data(series: Series, dropped: NDArray[np.bool_] | None = None) -> Data:
-    """Scale a series; readings in `dropped` are kept out."""
+def make_data(
+    series: Series, dropped: NDArray[np.bool_] | None = None, known: tuple[Floats, Floats] | None = None
+) -> Data:
+    """Scale a series.
+
+    Args:
+        series: the readings.
+        dropped: those that are kept out, shape (n,).
+        known: ends of the interval in which each reading is known to have been, V; both are the reading itself where
+            that is known.
+    """
     used = series.used if dropped is None else series.used & ~dropped
     kept = series.value_V[used]
     origin = float(np.median(kept))
@@ -87,7 +105,21 @@ def make_data(series: Series, dropped: NDArray[np.bool_] | None = None) -> Data:
         origin_V=origin,
         unit_V=unit,
         witnesses=series.witnesses,
+        aperture_s=min(series.aperture_s, series.interval_s),
+        low=None if known is None else (known[0] - origin) / unit,
+        high=None if known is None else (known[1] - origin) / unit,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What the filter takes for the readings; shapes (n,)."""
+
+    y: Floats
+    low: Floats | None
+    high: Floats | None
+    log_slope: Floats | float
+    """Logarithm of the change of y with the reading: the density of the reading is that of y times the slope."""
 
 
 @dataclass(slots=True)
@@ -100,8 +132,14 @@ class Parts:
     states: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
     shocks: Floats = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
     extras: Floats = field(default_factory=lambda: np.zeros(6))
+    tails: list[tuple[float, float]] = field(default_factory=list)
+    """Probability and added variance of each further noise that a reading may have instead of the usual one."""
+    struck: list[float] = field(default_factory=list)
+    """Part of a shock that each state takes, where it strikes more than one."""
     kept: float = 0.0
     """Share of the last reading in the next one, by a smoothing after all else."""
+    undo: Callable[[Seen], Seen] | None = None
+    """Takes off what a model says was done to the readings after all noise."""
     telegraph: Floats | None = None
     """Step, and mean stay below and above it, s, of a level that jumps between two values; it replaces the shocks."""
 

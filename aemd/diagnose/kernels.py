@@ -5,13 +5,18 @@ Readings y_k at steps h_k obey
     y_k = mean_k + scale_k H x_k + noise_k,   x_k = F(h_k) x_{k-1} + process noise,
 
 where x stacks first-order processes, swinging pairs and short memories. With shocks, each step has two hypotheses, a
-jump of variance A^2 in the shock's state or none; with outliers, each reading has a further one, of a larger noise. The
-filter keeps one Gaussian: the mixture's mean and covariance. Every update moves the mean along one direction per
-hypothesis, so collapsing costs one outer product. A bent scale, y = x + b x^2, is met by its slope at the prediction.
+jump of variance A^2 in the shock's states or none; with tails, each reading has as many again per further noise. The
+filter keeps one Gaussian: the mixture's mean and covariance. All hypotheses move the mean along one of two directions,
+with the jump or without, so collapsing costs three outer products however many there are. A bent scale, y = x + b x^2,
+is met by its slope at the prediction.
+
+Of a reading that was rounded, clipped or held by a dead band only an interval is known. Each hypothesis then has the
+probability of the interval in place of a density, and its update the mean and variance of a normal law cut to it.
 
 Besides the log-likelihood the kernel returns for each reading what the checks are made of: the predicted mean, the
 variance of the undisturbed hypothesis, and the probability integral transform of the reading under the predicted
-mixture as a standard normal z. If the model is right, z is a sequence of independent N(0, 1).
+mixture as a standard normal z; of an interval, that of an even choice within it. If the model is right, z is a sequence
+of independent N(0, 1).
 
 All that is compiled stands in this one file, because numba's cache notices a change only in the file of the function
 that is called from outside.
@@ -119,6 +124,32 @@ def _advance_covariance(states: Floats, keep: Floats, turn: Floats, noise: Float
 
 
 @njit(cache=True)
+def _within(a: float, b: float) -> float:
+    """Return the probability that a standard normal number is between a and b, a <= b; in a tail to all digits."""
+    if a > 0.0:
+        return 0.5 * (erfc(a / sqrt(2.0)) - erfc(b / sqrt(2.0)))
+    return 0.5 * (erfc(-b / sqrt(2.0)) - erfc(-a / sqrt(2.0)))
+
+
+@njit(cache=True)
+def _cut(a: float, b: float, inside: float) -> tuple[float, float]:
+    """Return mean and variance of a standard normal number between a and b, given the probability of that.
+
+    Beyond 37 deviations the probability is 0 in floating point; then all of it is at the nearer end.
+    """
+    if inside < 1e-300:
+        return (a if a > 0.0 else b), 0.0
+    low, high = exp(-0.5 * a * a) / sqrt(2.0 * pi), exp(-0.5 * b * b) / sqrt(2.0 * pi)
+    mean = (low - high) / inside
+    bend = 0.0
+    if low > 0.0:
+        bend += a * low
+    if high > 0.0:
+        bend -= b * high
+    return mean, min(max(1.0 + bend / inside - mean * mean, 0.0), 1.0)
+
+
+@njit(cache=True)
 def _filter(
     y: Floats,
     used: NDArray[np.bool_],
@@ -129,6 +160,9 @@ def _filter(
     states: Floats,
     shocks: Floats,
     extras: Floats,
+    low: Floats,
+    high: Floats,
+    chance: Floats,
     each: Floats,
     cdf: Floats,
     predicted: Floats,
@@ -137,10 +171,8 @@ def _filter(
 ) -> float:
     """Run the filter; see `log_densities` and `predict` for the arguments.
 
-    `shocks` is (rate per s, variance of the jump, index of the shock's state or -1). `extras` is (variance per squared
-    prediction, quadratic coefficient, probability of an outlier, its added variance, what is added to the prediction
-    before it is squared for the variance, part of the jumps up less that of the jumps down). `each` and the arrays
-    after it are filled if they have the readings' length, and left alone if they are empty.
+    `chance` holds even numbers in (0, 1), one a reading, that place z within an interval. `each` and the arrays after
+    it are filled if they have the readings' length, and left alone if they are empty.
     """
     m, n = states.shape[0], y.size
     keep, turn, noise = np.zeros(_MOST), np.zeros(_MOST), np.zeros(_MOST)
@@ -148,17 +180,34 @@ def _filter(
     before = np.zeros((m, m))
     for i in range(m):
         p[i, i] = states[i, 4] ** 2
-    shock_at, outlier, bias = int(shocks[2]), extras[2], extras[5]
+    shock_at, bias = int(shocks[2]), extras[5]
+    struck = np.zeros(m)
     jump_var, weight_at = 0.0, 0.0
     if shock_at >= 0:
-        jump_var, weight_at = shocks[1], states[shock_at, 5]
-    jump, calm, jump_step = 0.0, 1.0 - outlier, -1.0  # none before the first reading
-    jumped = np.zeros(m)
+        jump_var = shocks[1]
+        struck[shock_at] = 1.0
+        for i in range(min(m, shocks.size - 3)):
+            struck[i] = shocks[3 + i]
+        for i in range(m):
+            weight_at += states[i, 5] * struck[i]
+    # Noises of a reading, the usual one first; each is a hypothesis without a jump and one with it.
+    noises = 1 + (1 if extras[2] > 0.0 else 0) + (extras.size - 6) // 2
+    share, added = np.zeros(noises), np.zeros(noises)
+    at = 1
+    if extras[2] > 0.0:
+        share[at], added[at] = extras[2], extras[3]
+        at += 1
+    for j in range((extras.size - 6) // 2):
+        share[at + j], added[at + j] = extras[6 + 2 * j], extras[7 + 2 * j]
+    share[0] = 1.0 - share.sum()
+    spread, inverse, odds = np.zeros(2 * noises), np.zeros(2 * noises), np.zeros(2 * noises)
+    jump, jump_step = 0.0, -1.0  # none before the first reading
+    jumped, moved = np.zeros(m), np.zeros(m)
     diagonal = True
     for i in range(m):
         if states[i, 0] != MARKOV:
             diagonal = False
-    plain = shock_at < 0 and extras[0] == 0.0 and extras[1] == 0.0 and extras[2] == 0.0
+    plain = shock_at < 0 and extras[0] == 0.0 and extras[1] == 0.0 and noises == 1 and low.size == 0
     frozen, last_step, s_frozen, log_s, last_noise, last_scale = False, -1.0, 0.0, 0.0, -1.0, 1.0
     total = 0.0
     root_two_pi = 0.5 * log(2.0 * pi)
@@ -172,7 +221,6 @@ def _filter(
             if h != jump_step:
                 jump_step = h
                 jump = 1.0 - exp(-shocks[0] * h) if shock_at >= 0 else 0.0
-                calm = (1.0 - jump) * (1.0 - outlier)
             if diagonal:
                 for i in range(m):
                     x[i] *= keep[i]
@@ -216,7 +264,9 @@ def _filter(
                 for i in range(m):
                     gains[k, i] = 0.0
             if shock_at >= 0:
-                p[shock_at, shock_at] += jump * jump_var
+                for i in range(m):
+                    for j in range(m):
+                        p[i, j] += jump * jump_var * struck[i] * struck[j]
             continue
         e = y[k] - guess
         if plain:
@@ -231,62 +281,102 @@ def _filter(
                 if gains.size:
                     gains[k, i] = column[i] / s
             if not frozen:
-                moved = 0.0
+                largest = 0.0
                 for i in range(m):
                     for j in range(i + 1):
                         p[i, j] -= column[i] * column[j] / s
                         p[j, i] = p[i, j]
-                        moved = max(moved, abs(p[i, j] - before[i, j]) / s)
+                        largest = max(largest, abs(p[i, j] - before[i, j]) / s)
                         before[i, j] = p[i, j]
-                if moved < 1e-13:
+                if largest < 1e-13:
                     frozen, s_frozen, last_noise, last_scale = True, s, r, scale[k]
             continue
-        # Up to three hypotheses: neither jump nor outlier, a jump, an outlier; the last two by their odds to the first.
-        e2 = e * e
-        s1, s2 = s + jump_var * (weight_at * slope) ** 2, s + extras[3]
-        rise1 = 0.5 * e2 * (1.0 / s - 1.0 / s1) if jump > 0.0 else 0.0
-        rise2 = 0.5 * e2 * (1.0 / s - 1.0 / s2) if outlier > 0.0 else 0.0
-        top = max(rise1, rise2)
-        if top < _STEEP:
-            top = 0.0
-        w0 = calm if top == 0.0 else calm * exp(-top)
-        w1 = jump * (1.0 - outlier) * sqrt(s / s1) * exp(rise1 - top) if jump > 0.0 else 0.0
-        if bias != 0.0 and w1 > 0.0:  # the jump's own sign is known from e but for the rest of the variance
-            w1 *= 1.0 + bias * erf(e * sqrt((s1 - s) / (2.0 * s * s1)))
-        w2 = outlier * sqrt(s / s2) * exp(rise2 - top) if outlier > 0.0 else 0.0
-        weights = w0 + w1 + w2
-        density = top + log(weights) - log_s - 0.5 * e2 / s - root_two_pi
+        count = noises if jump == 0.0 else 2 * noises
+        rise_var = jump_var * (weight_at * slope) ** 2
+        for i in range(count):
+            spread[i] = s + added[i] if i < noises else s + added[i - noises] + rise_var
+            inverse[i] = 1.0 / spread[i]
+        bounded = low.size > 0 and high[k] > low[k]
+        top = 0.0
+        if not bounded:
+            # By their odds to the usual noise without a jump, unless that one is all but impossible.
+            for i in range(1, count):
+                odds[i] = 0.5 * e * e * (inverse[0] - inverse[i])
+                top = max(top, odds[i])
+            if top < _STEEP:
+                top = 0.0
+        weights = 0.0
+        for i in range(count):
+            prior = share[i] * (1.0 - jump) if i < noises else share[i - noises] * jump
+            if bounded:
+                root = sqrt(spread[i])
+                odds[i] = prior * max(_within((low[k] - guess) / root, (high[k] - guess) / root), 1e-300)
+            elif i == 0:
+                odds[i] = prior if top == 0.0 else prior * exp(-top)
+            else:
+                odds[i] = prior * sqrt(s * inverse[i]) * exp(odds[i] - top)
+            if i >= noises and bias != 0.0:  # the jump's own sign is known from e but for the rest of the variance
+                odds[i] *= 1.0 + bias * erf(e * sqrt(rise_var / (2.0 * (spread[i] - rise_var) * spread[i])))
+            weights += odds[i]
+        density = log(weights) if bounded else top + log(weights) - log_s - 0.5 * e * e / s - root_two_pi
         total += density
         if each.size:
             each[k] = density
-        w0, w1, w2 = w0 / weights, w1 / weights, w2 / weights
         if cdf.size:
-            tail = 0.5 * calm * erfc(abs(e) / sqrt(2.0 * s))
-            if jump > 0.0:
-                lean = 1.0 + (bias if e >= 0 else -bias)
-                tail += 0.5 * jump * (1.0 - outlier) * lean * erfc(abs(e) / sqrt(2.0 * s1))
-            if outlier > 0.0:
-                tail += 0.5 * outlier * erfc(abs(e) / sqrt(2.0 * s2))
-            tail = max(tail, 1e-300) if tail <= 0.5 else tail - 1.0  # beyond the median: the other tail's
-            cdf[k] = tail * (1.0 if e >= 0 else -1.0)
+            below, above = 0.0, 0.0  # the reading; of an interval, a place in it that `chance` picks evenly
+            for i in range(count):
+                prior = share[i] * (1.0 - jump) if i < noises else share[i - noises] * jump
+                root = sqrt(2.0 * spread[i])
+                if bounded:
+                    a, b = (low[k] - guess) / root, (high[k] - guess) / root
+                    below += 0.5 * prior * ((1.0 - chance[k]) * erfc(-a) + chance[k] * erfc(-b))
+                    above += 0.5 * prior * ((1.0 - chance[k]) * erfc(a) + chance[k] * erfc(b))
+                else:
+                    lean = 1.0
+                    if i >= noises:
+                        lean += bias if e >= 0 else -bias
+                    above += 0.5 * prior * lean * erfc(abs(e) / root)
+            if not bounded and above > 0.5:  # beyond the median: the other tail's
+                above -= 1.0
+            tail = max(above, 1e-300) if above > 0.0 else above
+            if bounded:
+                cdf[k] = max(above, 1e-300) if above < below else -max(below, 1e-300)
+            else:
+                cdf[k] = tail * (1.0 if e >= 0 else -1.0)
         # Each hypothesis moves the mean by its gain times e; that of a jump sees the covariance with the jump in it.
         # The mixture's covariance is the mean of theirs, plus the spread of their means.
         for i in range(m):
-            jumped[i] = column[i]
-        if shock_at >= 0:
-            jumped[shock_at] += jump_var * weight_at * slope
-            p[shock_at, shock_at] += w1 * jump_var
-        still, moved1 = w0 / s + w2 / s2, w1 / s1
-        a = w0 / s * (e2 / s - 1.0) + w2 / s2 * (e2 / s2 - 1.0)
-        b = moved1 * (e2 / s1 - 1.0)
+            jumped[i] = column[i] + jump_var * weight_at * slope * struck[i]
+        share_of = 1.0 / weights
+        still, still_by, a, moving, moving_by, b, struck_odds = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(count):
+            w = odds[i] * share_of
+            gain, by = inverse[i], e * inverse[i]
+            if bounded:
+                root = sqrt(spread[i])
+                lower, upper = (low[k] - guess) / root, (high[k] - guess) / root
+                centre, kept = _cut(lower, upper, _within(lower, upper))
+                by, gain = centre / root, (1.0 - kept) * inverse[i]
+            if i < noises:
+                still, still_by = still + w * gain, still_by + w * by
+                a += w * (by * by - gain)
+            else:
+                moving, moving_by = moving + w * gain, moving_by + w * by
+                b += w * (by * by - gain)
+                struck_odds += w
+        if shock_at >= 0 and struck_odds > 0.0:
+            for i in range(m):
+                if struck[i] != 0.0:
+                    for j in range(m):
+                        p[i, j] += struck_odds * jump_var * struck[i] * struck[j]
         for i in range(m):
-            work[i] = still * column[i] + moved1 * jumped[i]
-            x[i] += work[i] * e
+            moved[i] = still_by * column[i] + moving_by * jumped[i]
+            x[i] += moved[i]
             for j in range(i + 1):
-                p[i, j] += a * column[i] * column[j] + b * jumped[i] * jumped[j] - e2 * work[i] * work[j]
+                p[i, j] += a * column[i] * column[j] + b * jumped[i] * jumped[j] - moved[i] * moved[j]
                 p[j, i] = p[i, j]
             if gains.size:
-                gains[k, i] = work[i]
+                gains[k, i] = still * column[i] + moving * jumped[i]
     return total
 
 
@@ -304,6 +394,8 @@ def log_densities(
     states: Floats,
     shocks: Floats,
     extras: Floats,
+    low: Floats = _NONE,
+    high: Floats = _NONE,
 ) -> Floats:
     """Return each reading's log density given those before it, shape (n,); 0 where it is not used.
 
@@ -315,12 +407,19 @@ def log_densities(
         noise_var: variance of the white noise, shape (n,).
         scale: factor of the states in each reading, shape (n,).
         states: table of states, shape (m, 6).
-        shocks: rate per s, variance of the jump, index of the shock's state or -1.
+        shocks: rate per s, variance of the jump, index of the shock's state or -1; where a jump strikes other states,
+            the part of it that each state takes, shape (3,) or (3 + m,).
         extras: noise variance per squared state, quadratic coefficient, probability and variance of an outlier, the
-            offset of the state for the first, and the bias of the jumps' sign, within (-1, 1).
+            offset of the state for the first, and the bias of the jumps' sign, within (-1, 1); then probability and
+            added variance of each further noise, shape (6 + 2 j,).
+        low: where of a reading only an interval is known, its lower end, shape (n,), or empty where there is none such.
+        high: the upper end; where it is not above the lower one, the reading is `y`.
     """
     each = np.zeros(y.size)
-    _filter(y, used, step_s, mean, noise_var, scale, states, shocks, extras, each, _NONE, _NONE, _NONE, _NO_GAINS)
+    _filter(
+        *(y, used, step_s, mean, noise_var, scale, states, shocks, extras, low, high, _NONE),
+        *(each, _NONE, _NONE, _NONE, _NO_GAINS),
+    )
     return each
 
 
@@ -334,6 +433,8 @@ def predict(
     states: Floats,
     shocks: Floats,
     extras: Floats,
+    low: Floats = _NONE,
+    high: Floats = _NONE,
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return for each reading its log density, z, predicted mean, variance without shock, and the gains.
 
@@ -342,8 +443,12 @@ def predict(
     n = y.size
     each, cdf, predicted, variance = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     gains = np.zeros((n, states.shape[0]))
-    _filter(y, used, step_s, mean, noise_var, scale, states, shocks, extras, each, cdf, predicted, variance, gains)
-    if shocks[2] >= 0 or extras[0] != 0.0 or extras[1] != 0.0 or extras[2] != 0.0:
+    chance = np.random.default_rng(0).random(n if low.size else 0)  # any even numbers do, the same each time
+    _filter(
+        *(y, used, step_s, mean, noise_var, scale, states, shocks, extras, low, high, chance),
+        *(each, cdf, predicted, variance, gains),
+    )
+    if shocks[2] >= 0 or extras[:4].any() or extras.size > 6 or low.size:
         z = np.where(used, -np.sign(cdf) * ndtri(np.clip(np.abs(cdf), 1e-300, 0.5)), 0.0)
     else:
         z = cdf

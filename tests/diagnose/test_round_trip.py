@@ -14,7 +14,7 @@ from aemd.diagnose.estimator import estimator_for
 from aemd.estimate.imm import Imm
 from aemd.replay import replay
 from aemd.simulate import read_model, simulate
-from tests.diagnose.test_given import BASE
+from tests.diagnose.removed import BASE
 
 INTERVAL_S, APERTURE_S = 0.06712, 0.02
 LINE = '[[terms]]\nterm = "sine"\nrole = "external"\namplitude_V = 2e-3\nfrequency_hz = 3.3\n'

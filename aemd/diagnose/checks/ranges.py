@@ -68,7 +68,7 @@ def check_hole(fit: Fit) -> Evidence:
     data, used = fit.data, fit.data.used
     if any(isinstance(term, RangeOffset) for term in fit.terms):  # one is closed, and a second is not looked for
         return _hole(1.0, 0.0, data.n, ())
-    inner = np.sort(data.y[used])[data.n // 20 : -(data.n // 20)]
+    inner = np.sort(fit.y[used])[data.n // 20 : -(data.n // 20)]
     gaps = np.diff(inner)
     at = int(np.argmax(gaps))
     if gaps[at] < 2 * np.partition(gaps, -2)[-2]:  # one of many: a lattice

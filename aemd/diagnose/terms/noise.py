@@ -7,6 +7,7 @@ from math import exp, inf, log, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from aemd.diagnose.apertures import averaged_markov
 from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts
 from aemd.diagnose.kernels import MARKOV, PAIR, PAIR_SECOND, PREVIOUS, WHITE
 
@@ -121,8 +122,9 @@ class Flicker:
         """Add a state for each process."""
         taus, variances = flicker_processes(0.3 / data.span_s, 0.5 / data.interval_s)
         for tau, variance in zip(taus, variances, strict=True):
-            sd = exp(theta[0]) * sqrt(variance)
-            parts.states.append((MARKOV, tau, 0.0, sd * sqrt(2 / tau), sd, 1.0))
+            rate, lost = averaged_markov(tau, exp(theta[0]) * sqrt(2 * variance / tau), data.aperture_s)
+            parts.states.append((MARKOV, tau, 0.0, rate, rate * sqrt(tau / 2), 1.0))
+            parts.noise_var += lost
 
     def parameters(self, data: Data) -> Sequence[Parameter]:
         """Return the root of its one-sided density at 1 Hz."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts
 
-__all__ = ["RangeOffset", "RangeSwitching", "in_wide_range"]
+__all__ = ["RangeOffset", "RangeSwitching", "in_wide_range", "ranges_of"]
 
 Floats = NDArray[np.float64]
 
@@ -20,12 +20,16 @@ def in_wide_range(data: Data, threshold: float, hysteresis: float) -> Floats:
     The reading before, and not the reading itself: a density may depend on what went before and on nothing else, and a
     meter that ranges by itself decides by it too. Magnitudes count from 0 V; both numbers in units of the readings.
     """
-    magnitude = np.abs(data.y + data.origin_V / data.unit_V)
-    up = data.used & (magnitude >= threshold)
-    decided = up | (data.used & (magnitude < threshold - hysteresis))
+    magnitude = np.where(data.used, np.abs(data.y + data.origin_V / data.unit_V), np.nan)
+    return np.concatenate(([0.0], ranges_of(magnitude, threshold, hysteresis)[:-1]))
+
+
+def ranges_of(magnitude: Floats, threshold: float, hysteresis: float) -> Floats:
+    """Return 1 where a magnitude is, or the last one that decided was, in the wider range; NaN decides nothing."""
+    up = magnitude >= threshold
+    decided = up | (magnitude < threshold - hysteresis)
     last = np.maximum.accumulate(np.where(decided, np.arange(1, up.size + 1), 0))
-    wide = np.concatenate(([False], up))[last]
-    return np.concatenate(([0.0], wide[:-1].astype(np.float64)))
+    return np.concatenate(([False], up))[last].astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True)
