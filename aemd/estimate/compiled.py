@@ -1,7 +1,7 @@
 """Kernels as they are written, or compiled: the same bits at two prices.
 
 Compiled, a reading takes a microsecond, and numba with the compiler beneath it 90 MB and half a second of every start.
-As it is written, in Python, it takes some tenths of a millisecond and nothing else. So an acquisition at a slow rate,
+As it is written, in Python, it takes a tenth of a millisecond and nothing else. So an acquisition at a slow rate,
 which goes on for months, runs its few readings as written, and all else is compiled; numba is imported by the first
 call that needs it.
 
@@ -13,10 +13,11 @@ library and numba multiplies (see kernels.whole_power).
 import sys
 from collections.abc import Callable
 from functools import cache
-from types import FunctionType
+from types import FunctionType, SimpleNamespace
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 __all__ = ["FEW", "choose", "kernel"]
 
@@ -63,17 +64,50 @@ def _as_written(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function that takes what the compiled one takes."""
 
     def run(*arguments: Any) -> Any:
+        opened: list[_Rows] = []
         # What overflows is infinite, without a word, as it is when compiled.
         with np.errstate(all="ignore"):
-            return function(*map(_with_attributes, arguments))
+            result = function(*[_open(argument, opened) for argument in arguments])
+        for rows in opened:
+            rows.put_back()
+        return result
 
     return run
 
 
-def _with_attributes(argument: Any) -> Any:
-    """Return the same, with the fields of structured arrays as attributes of their elements, as numba has them."""
-    if isinstance(argument, np.ndarray) and argument.dtype.names:
-        return argument.view(np.recarray)
+class _Rows:
+    """A structured array whose elements have their fields as attributes, as numba has them.
+
+    They are taken out when they are first asked for, and put back at the end: numpy's own records, which do the same,
+    take a microsecond for each field at each turn.
+    """
+
+    def __init__(self, array: NDArray[np.void]) -> None:
+        self.size = array.size
+        self._array = array
+        self._names = array.dtype.names or ()
+        self._taken: dict[int, SimpleNamespace] = {}
+
+    def __getitem__(self, place: int) -> SimpleNamespace:
+        row = self._taken.get(place)
+        if row is None:
+            fields = zip(self._names, self._array[place].item(), strict=True)
+            row = self._taken[place] = SimpleNamespace(**dict(fields))
+        return row
+
+    def put_back(self) -> None:
+        """Write what was taken out into the array."""
+        for place, row in self._taken.items():
+            self._array[place] = tuple(vars(row).values())
+
+
+def _open(argument: Any, opened: list[_Rows]) -> Any:
+    """Return the same with its structured arrays opened, which are noted."""
+    if isinstance(argument, np.ndarray):
+        if argument.dtype.names is None:
+            return argument
+        opened.append(_Rows(argument))
+        return opened[-1]
     if hasattr(argument, "_fields"):
-        return argument._make(map(_with_attributes, argument))
+        return argument._make([_open(field, opened) for field in argument])
     return argument

@@ -157,7 +157,7 @@ def adapt(w: NDArray[np.float64], line: NDArray[np.float64], e: float, rule: Lms
         power = rule.least_power
         for j in range(line.size):
             power += line[j] * line[j]
-        step /= power
+        step /= power if power > 0.0 else 1.0  # of a line of zeros, which no step moves
     for j in range(line.size):
         w[j] += step * line[j]
 

@@ -95,3 +95,12 @@ def test_what_is_live_is_the_same_estimator() -> None:
     live, replayed = make_estimator("aem", {}, INTERVAL_S, is_live=True), make_estimator("aem", {}, INTERVAL_S)
 
     assert live.push(_rough(2)).tobytes() == replayed.push(_rough(2)).tobytes()
+
+
+@pytest.mark.parametrize("few", [0, FEW])
+def test_an_input_of_nothing_but_zeros_is_no_division_by_zero(few: int) -> None:
+    options_type, estimator_type = ESTIMATORS["lms"]
+
+    estimates = estimator_type(options_type(least_power_V2=0.0), INTERVAL_S, few).push(make_block(np.zeros(40)))
+
+    assert not estimates["value_V"].any()
