@@ -32,6 +32,7 @@ TimeOf = Literal["publish", "log"]
 _FOOTER_BYTES = 20
 _MAGIC_BYTES = 8
 _LISTED = 12  # candidates in an error
+_LOOKED_AT = 1000  # messages whose fields are listed, where no schema lists them: some milliseconds of JSON
 _INTERVAL_READINGS = 65_536  # whose median step is the interval between readings
 
 
@@ -213,7 +214,7 @@ class ForeignRecording:
             except (UnknownEncodingError, ValueError) as error:
                 faults.append(f"topic {topic} {error}")
                 continue
-            fields = list(next(iter(numbers.values())).fields) or self._fields_seen(numbers)
+            fields = list(next(iter(numbers.values())).fields) or self._fields_seen(numbers, wanted.field)
             found[topic] = numbers, fields
         if not found or not any(fields for _, fields in found.values()):
             told = "; ".join(faults) or f"its topics: {', '.join(topics) or 'none'}"
@@ -228,18 +229,25 @@ class ForeignRecording:
         topic, field = matching[0]
         return topic, field, found[topic][0]
 
-    def _fields_seen(self, numbers: dict[int, Numbers]) -> list[str]:
-        """Return the numbers that the first message has, where no schema tells."""
+    def _fields_seen(self, numbers: dict[int, Numbers], wanted: str | None) -> list[str]:
+        """Return the numbers that messages have, where no schema tells: the first ones and, to find the wanted, more.
+
+        A message may leave a field out, the first one as well as any other.
+        """
+        seen: dict[str, None] = {}
+        looked_at = 0
         for span in spans(self._map, str(self.path)):
             heads = span.heads()
-            for number, decoder in numbers.items():
-                for place in np.flatnonzero(heads["channel"] == number)[:1].tolist():
-                    payload = _payload(span, place, heads)
-                    try:
-                        return list(decoder.fields_in(payload))
-                    except ValueError as error:
-                        raise self._undecodable(number, span, error) from error
-        return []
+            for place in np.flatnonzero(np.isin(heads["channel"], list(numbers))).tolist():
+                number = int(heads["channel"][place])
+                try:
+                    seen.update(dict.fromkeys(numbers[number].fields_in(_payload(span, place, heads))))
+                except ValueError as error:
+                    raise self._undecodable(number, span, error) from error
+                looked_at += 1
+                if looked_at >= _LOOKED_AT and (wanted is None or wanted in seen):
+                    return list(seen)
+        return list(seen)
 
     def _describe(self) -> Description:
         read, stamps = 0, list[NDArray[np.int64]]()

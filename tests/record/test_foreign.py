@@ -180,6 +180,19 @@ def test_json_reads_to_the_bit_and_what_is_no_number_is_no_value(tmp_path: Path)
     _assert_read(_read(path, "/volts", "dmm.value"))
 
 
+@pytest.mark.parametrize("first", [1, 999, 2500])
+def test_a_field_that_the_first_messages_leave_out_can_be_chosen_all_the_same(tmp_path: Path, first: int) -> None:
+    payloads = [json.dumps({"a": place} | ({"b": {"c": -place}} if place >= first else {})) for place in range(COUNT)]
+    path = _write(tmp_path / "late.mcap", "json", [text.encode() for text in payloads])
+
+    readings = _read(path, field="b.c")
+
+    assert np.flatnonzero(readings["status"]).tolist() == list(range(first))
+    assert readings["value_V"][first:].tolist() == [-place for place in range(first, COUNT)]
+    with pytest.raises(UsageError, match=r"--field c: no such number; choose by --topic and --field among: /volts a"):
+        _read(path, field="c")
+
+
 def test_the_stamp_is_publish_time_unless_that_is_missing_or_the_other_is_asked_for(tmp_path: Path) -> None:
     payloads = [b'{"v": 1}', b'{"v": 2}']
     both = _write(tmp_path / "both.mcap", "json", payloads)

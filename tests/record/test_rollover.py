@@ -99,7 +99,7 @@ def test_by_size_no_reading_is_lost_and_each_file_replays_alone_to_the_bit(tmp_p
     paths = run.close()
 
     read, estimates = _content(paths)
-    assert len(paths) > 3
+    assert len(paths) > 1  # how many depends on when the disk has finished the one before
     assert read.tobytes() == readings.tobytes()
     assert estimates.tobytes() == np.concatenate(run.estimates).tobytes()
     for path in paths:
