@@ -23,6 +23,10 @@ class Tricky(SimulatedLink):
         Tricky.before = answer
         return said
 
+    def query_block(self, command: str, most: int) -> tuple[bytes, str]:
+        Tricky.before = command
+        return super().query_block(command, most)
+
 
 @pytest.fixture
 def clock() -> SteppedClock:
@@ -79,6 +83,26 @@ def test_the_journal_tells_whether_a_block_that_never_came_has_left_the_memory(
     assert dialogue.take_torn() == torn
     assert dialogue.take_torn() == 0
     assert dialogue.look().waiting >= before - torn
+
+
+def test_a_block_that_is_obeyed_long_after_it_was_given_up_is_noticed_and_counted(
+    dialogue: Dialogue, bench: Bench, clock: SteppedClock
+) -> None:
+    clock.sleep(5.0)
+    bench.add([Fault("silent", (clock() - bench._on_ns) * 1e-9)])
+    with pytest.raises(InstrumentError):
+        dialogue.take(3)
+    given_up = Tricky.before
+    dialogue.restore()
+    assert dialogue.take_torn() == 0
+    dialogue.look()
+    SimulatedLink(bench, clock).query_block(given_up, 24)  # it was on its way all the time
+
+    with pytest.raises(InstrumentError, match="obeyed what was sent to it long ago"):
+        dialogue.look()
+    dialogue.restore()
+    assert dialogue.take_torn() == 3
+    dialogue.look()
 
 
 def test_a_meter_that_was_switched_off_meanwhile_has_no_journal(

@@ -1,0 +1,162 @@
+"""What the meter told once, and what state it is in, after a link that failed in the middle: without a socket."""
+
+from collections.abc import Callable
+
+import pytest
+
+from aemd.errors import InstrumentError
+from agilent34410 import Options
+from agilent34410.meter import Meter as Driven
+from agilent34410.meter import open_instrument
+from sim34410 import Fault, Meter, MeterProperties
+from sim34410.bench import Bench
+from sim34410.clock import SteppedClock
+from sim34410.simulated_link import SimulatedLink
+from tests.storm.weather import Slope
+
+INTERVAL_S = 10.0
+"""Long: a reading finished between a failure and the look after it would make a full memory overflow anew."""
+OPTIONS = Options(nplc=0.2, autozero="off", interval_s=INTERVAL_S)
+MEMORY = 1000
+OPEN = "Agilent Technologies,34410A,MY1,2.35-2.35-0.09-46-09"
+
+
+class Line(SimulatedLink):
+    """A line that notes what is said on it, and may lose one answer, or put events into one."""
+
+    said: list[str]
+    loses = ""
+    """The answer to the next message with this in it never arrives."""
+    events = 0
+    """Bits that the next answer to STAT:QUES:EVEN? has besides."""
+
+    def query(self, command: str) -> str:
+        Line.said.append(command)
+        answer = super().query(command)
+        if Line.events and ":STAT:QUES:EVEN?" in command:
+            entry, waiting, events, number = answer.split(";")
+            answer, Line.events = f"{entry};{waiting};{int(events) | Line.events};{number}", 0
+        self._lose(command)
+        return answer
+
+    def query_block(self, command: str, most: int) -> tuple[bytes, str]:
+        answer = super().query_block(command, most)
+        self._lose(command)
+        return answer
+
+    def _lose(self, command: str) -> None:
+        if Line.loses and Line.loses in command:
+            Line.loses = ""
+            raise self._failure(command, "lost on the way")
+
+
+@pytest.fixture
+def clock() -> SteppedClock:
+    return SteppedClock()
+
+
+@pytest.fixture
+def bench(clock: SteppedClock) -> Bench:
+    Line.said, Line.loses, Line.events = [], "", 0
+    return Bench(Meter(Slope(), clock, MeterProperties(noise=False, memory_readings=MEMORY)), clock)
+
+
+@pytest.fixture
+def open_line(bench: Bench, clock: SteppedClock) -> Callable[[], Line]:
+    return lambda: Line(bench, clock)
+
+
+@pytest.fixture
+def driven(clock: SteppedClock, open_line: Callable[[], Line]) -> Driven:
+    driven = open_instrument("SIM", OPTIONS, clock, open_line)
+    driven.memory_readings = MEMORY  # of this one; the model has more
+    driven.start()
+    return driven
+
+
+def test_an_overflow_that_was_told_in_an_answer_that_never_came_is_known_by_the_full_memory(
+    driven: Driven, clock: SteppedClock
+) -> None:
+    clock.sleep((2 * MEMORY + 0.5) * INTERVAL_S)
+    Line.loses = "STAT:QUES:EVEN?"
+    with pytest.raises(InstrumentError):
+        driven.drain(10)
+    driven.recover()
+
+    assert driven.drain(10).overflowed
+    assert not driven.drain(10).overflowed
+
+
+def test_without_a_full_memory_a_lost_answer_is_no_overflow(driven: Driven, clock: SteppedClock) -> None:
+    clock.sleep(20.5 * INTERVAL_S)
+    Line.loses = "STAT:QUES:EVEN?"
+    with pytest.raises(InstrumentError):
+        driven.drain(10)
+    driven.recover()
+
+    assert not driven.drain(10).overflowed
+
+
+def test_what_a_look_found_is_told_by_the_next_whole_one_where_its_readings_never_came(
+    driven: Driven, clock: SteppedClock
+) -> None:
+    clock.sleep((2 * MEMORY + 0.5) * INTERVAL_S)
+    Line.events = 1 << 2  # an interval was not kept; the overflow is the meter's own
+    Line.loses = "R? 10"
+    with pytest.raises(InstrumentError):
+        driven.drain(10)
+    recovery = driven.recover()
+    told, after = driven.drain(10), driven.drain(10)
+
+    assert recovery.torn == 10
+    assert (told.late, told.overflowed) == (True, True)
+    assert (after.late, after.overflowed) == (False, False)
+
+
+def test_a_meter_that_somebody_reset_has_lost_its_settings_though_it_was_not_switched_off(
+    driven: Driven, bench: Bench, clock: SteppedClock
+) -> None:
+    SimulatedLink(bench, clock).query("*RST;*OPC?")
+    recovery = driven.recover()
+
+    assert not recovery.settings_kept
+    assert not recovery.sampling
+    driven.start()
+    clock.sleep(20.5 * INTERVAL_S)
+    assert driven.recover().settings_kept
+    assert driven.drain(1000).values_V.size > 0
+
+
+def test_a_meter_that_was_switched_off_keeps_no_settings_though_they_be_alike(
+    driven: Driven, bench: Bench, clock: SteppedClock
+) -> None:
+    bench.add([Fault("power", (clock() - bench._on_ns) * 1e-9, lasts_s=0.1)])
+    clock.sleep(1.0)
+    for _ in range(5):  # its settings are sent by somebody else before we are back
+        try:
+            line = SimulatedLink(bench, clock)
+            line.query("*OPC?")
+            break
+        except InstrumentError:
+            clock.sleep(0.5)
+    for command in driven.settings["commands"].split("; "):
+        line.query(f"{command};*OPC?")
+    for _ in range(5):
+        try:
+            recovery = driven.recover()
+            break
+        except InstrumentError:
+            clock.sleep(0.5)
+
+    assert not recovery.settings_kept
+
+
+def test_a_stranger_at_the_old_address_is_asked_who_it_is_and_nothing_more(driven: Driven, clock: SteppedClock) -> None:
+    other = Bench(Meter(Slope(), clock, MeterProperties(identity=OPEN)), clock)
+    driven._dialogue._open_link = lambda: Line(other, clock)
+    driven._dialogue._link.close()
+    Line.said.clear()
+    with pytest.raises(InstrumentError, match=r"this is .*MY1.* now, not"):
+        driven.recover()
+
+    assert Line.said == ["*IDN?"]
