@@ -201,7 +201,8 @@ def _filter(
         share[at + j], added[at + j] = extras[6 + 2 * j], extras[7 + 2 * j]
     share[0] = 1.0 - share.sum()
     spread, inverse, odds = np.zeros(2 * noises), np.zeros(2 * noises), np.zeros(2 * noises)
-    jump, jump_step = 0.0, -1.0  # none before the first reading
+    # At the first reading stands what is left of a shock before it, if one was within its decay.
+    jump, jump_step = (1.0 - exp(-shocks[0] * states[shock_at, 1]) if shock_at >= 0 else 0.0), -1.0
     jumped, moved = np.zeros(m), np.zeros(m)
     diagonal = True
     for i in range(m):

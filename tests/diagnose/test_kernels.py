@@ -69,7 +69,10 @@ def test_a_random_walk_is_the_limit_of_a_long_time_constant():
 
 
 def test_the_mixture_is_near_the_sum_over_all_patterns_of_shocks():
-    """Ten readings, 2^9 patterns, each an exact Gaussian density; collapsing after each reading costs little."""
+    """Ten readings, 2^10 patterns, each an exact Gaussian density; collapsing after each reading costs little.
+
+    What the record begins with is a shock with the probability that one was within its decay before it.
+    """
     n, step, tau, decay, rate, amplitude = 10, 1.0, 8.0, 4.0, 0.08, 5.0
     y = np.array([0.1, -0.3, 0.2, 4.8, 4.1, 2.9, 2.2, 1.9, 0.9, 1.2])
     states = np.array([[MARKOV, tau, 0, 0.5 * np.sqrt(2 / tau), 0.5, 1], [MARKOV, decay, 0, 0, 0, 1]])
@@ -82,10 +85,11 @@ def test_the_mixture_is_near_the_sum_over_all_patterns_of_shocks():
     response = np.where(lags >= 0, np.exp(-np.maximum(lags, 0) * step / decay), 0.0)
     gauss = covariance_of(np.arange(n) * step, [("markov", tau, 0, 0.5)], 0.2)
     terms = []
-    for pattern in product((0, 1), repeat=n - 1):
-        jumps = np.array([0, *pattern])
+    odds = np.array([-np.expm1(-rate * decay), *[jump] * (n - 1)])
+    for pattern in product((0, 1), repeat=n):
+        jumps = np.array(pattern)
         cov = gauss + amplitude**2 * (response * jumps) @ response.T
-        prior = jumps[1:].sum() * np.log(jump) + (n - 1 - jumps[1:].sum()) * np.log1p(-jump)
+        prior = np.log(np.where(jumps, odds, 1 - odds)).sum()
         terms.append(prior + multivariate_normal(np.zeros(n), cov).logpdf(y))
 
     assert ours == pytest.approx(np.logaddexp.reduce(terms), abs=0.05)
