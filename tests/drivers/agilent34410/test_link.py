@@ -182,3 +182,33 @@ def test_closing_one_link_leaves_another_open() -> None:
 
         assert "34410A" in other.query("*IDN?")
         other.close()
+
+
+@pytest.mark.parametrize("is_answered", [True, False])
+def test_what_a_failed_link_has_still_to_send_is_thrown_away_and_a_good_one_ends_in_order(*, is_answered: bool) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        link = open_link(f"TCPIP0::127.0.0.1::{listener.getsockname()[1]}::SOCKET", 0.2)
+        other, _ = listener.accept()
+        with other:
+            if is_answered:
+                other.sendall(b"somebody\n")
+                assert link.query("*IDN?") == "somebody"
+            else:
+                with pytest.raises(InstrumentError):
+                    link.query("*IDN?")
+            link.close()
+
+            # Reset: a question in a buffer must not arrive when the cable is back, and take readings out of the meter.
+            assert (other.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) != 0) is not is_answered
+
+
+def test_half_an_answer_is_thrown_away_by_a_drain_and_is_no_begin_of_the_next() -> None:
+    with (
+        stranger(lambda line: b"half" if line == b"first" else b"whole\n") as resource,
+        closing(opened(resource)) as link,
+    ):
+        with pytest.raises(InstrumentError, match="no whole answer"):
+            link.query("first")
+        link.drain()
+
+        assert link.query("second") == "whole"
