@@ -95,7 +95,8 @@ def _by_saddle(weights: Floats, observed: float, dof: int, otherwise: float) -> 
     low, high = 0.0, top
     if x <= 0 or (top == np.inf and x >= -dof * float(w.sum())):  # not a tail, or beyond the greatest sum there is
         return otherwise
-    t = min(x / (2 * dof * float(np.sum(w**2))), 0.9 * top)
+    left, bend = np.ones(w.size), 2 * dof * float(np.sum(w**2))
+    t = min(x / bend, 0.9 * top)
     for _ in range(_MOST_STEPS):
         left = 1 - 2 * w * t
         slope, bend = dof * float(np.sum(2 * w**2 * t / left)), dof * float(np.sum(2 * w**2 / left**2))
