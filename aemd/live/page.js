@@ -451,7 +451,9 @@ function drawHistogram() {
   const asValue = byId("histogram-of").value === "readings" ? scale : stretch;
   [-3, 0, 3].forEach((z) => {
     pen.textAlign = "center";
-    pen.fillText(quantity(asValue(histogram.median_V + z * histogram.spread_V), 3), toX(histogram.median_V + z * histogram.spread_V), area.y1 + 6);
+    const at = histogram.median_V + z * histogram.spread_V;
+    const nothing = Math.abs(asValue(at)) < 1e-3 * Math.abs(stretch(histogram.spread_V));  // of this axis
+    pen.fillText(nothing ? "0" : quantity(asValue(at), 3), toX(at), area.y1 + 6);
   });
   setText("histogram-text", `σ ${quantity(Math.abs(stretch(histogram.spread_V)), 3).slice(1)} · n ${total}`);
   byId("chart-histogram").dataset.total = total;
