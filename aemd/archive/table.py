@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from html import escape
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from rich import box
@@ -16,6 +17,7 @@ from aemd.archive.places import Found, find
 from aemd.archive.work import workers
 from aemd.display import counting
 from aemd.errors import AemdError, RecordingError
+from aemd.record.source import Selection
 
 __all__ = ["ArchiveTable", "diagnose_archive", "tune_archive", "write_page"]
 
@@ -99,6 +101,7 @@ def diagnose_archive(
     scheduler: str | None = None,
     model: Path | None = None,
     line_frequency_hz: float | None = None,
+    selection: Selection | None = None,
     console: Console | None = None,
 ) -> ArchiveTable:
     """Diagnose each file of an archive.
@@ -109,6 +112,7 @@ def diagnose_archive(
         scheduler: address of a dask cluster in the place of processes.
         model: a model under criticism instead of each file's fitted base.
         line_frequency_hz: of the mains, where it is known.
+        selection: which number is the reading, in files of another program.
         console: where progress is shown; None for nowhere.
 
     Raises:
@@ -116,7 +120,7 @@ def diagnose_archive(
         InstrumentError: the scheduler does not answer.
     """
     columns = ("file", "verdict", "readings", "rate_hz", "findings")
-    work = partial(_diagnose, model=model, line_frequency_hz=line_frequency_hz)
+    work = partial(_diagnose, model=model, line_frequency_hz=line_frequency_hz, selection=selection)
     return _each(pattern, columns, work, jobs, scheduler, console)
 
 
@@ -199,11 +203,18 @@ def _tune(found: Found, *, folder: str, options: dict[str, Any]) -> tuple[dict[s
     return {**row, "log_likelihood": result.log_likelihood, "model": str(out)}, ""
 
 
-def _diagnose(found: Found, *, model: Path | None, line_frequency_hz: float | None) -> tuple[dict[str, Any], str]:
+def _diagnose(
+    found: Found, *, model: Path | None, line_frequency_hz: float | None, selection: Selection | None
+) -> tuple[dict[str, Any], str]:
     from aemd.diagnose import diagnose, format_diagnosis  # noqa: PLC0415 - see above
+    from aemd.tables import import_mcap  # noqa: PLC0415 - see above
 
-    with found.place.fetched() as path:
-        result = diagnose(path, model=model, line_frequency_hz=line_frequency_hz)
+    with found.place.fetched() as path, TemporaryDirectory() as folder:
+        source = path
+        if selection:
+            source = Path(folder) / path.name
+            import_mcap(path, source, selection=selection)
+        result = diagnose(source, model=model, line_frequency_hz=line_frequency_hz)
     causes = [finding.cause for finding in result.findings]
     row = {"file": found.name, "verdict": result.verdict, "readings": result.n, "rate_hz": result.rate_hz}
     return {**row, "findings": causes}, format_diagnosis(result)

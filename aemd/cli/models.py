@@ -131,7 +131,13 @@ def diagnose(
         if out is not None:
             raise UsageError(f"{file}: means many files, which have no one extended model; leave out --out")
         many = diagnose_archive(
-            file, jobs=jobs, scheduler=scheduler, model=model, line_frequency_hz=line_frequency, console=stderr()
+            file,
+            jobs=jobs,
+            scheduler=scheduler,
+            model=model,
+            line_frequency_hz=line_frequency,
+            selection=select(topic, field, time),
+            console=stderr(),
         )
         _show_table(many, "aemd diagnose", html, json=json)
         return

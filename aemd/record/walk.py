@@ -22,7 +22,7 @@ DAMAGED = 0x80
 _FOOTER = bytes([Opcode.FOOTER]) + (20).to_bytes(8, "little")
 _END_BYTES = len(_FOOTER) + 20 + len(MCAP0_MAGIC)
 
-_KEPT_BYTES = 8 << 20  # of the file, in memory at a time
+_KEPT_BYTES = 2 << 20  # of the file, in memory at a time: some chunks
 _AROUND_BYTES = 2 << 20  # that the kernel may map before the byte that is read
 
 _AnyRecord = TypeVar("_AnyRecord", bound=McapRecord)
