@@ -66,6 +66,17 @@ def test_a_block_that_left_the_memory_and_never_arrived_is_a_gap_of_exactly_its_
     assert passed.stream.outages > 5
 
 
+def test_after_a_failure_single_readings_are_risked_until_one_arrives_and_then_the_backlog() -> None:
+    # The cable comes back, and for 10 s every block is torn; some 900 readings wait.
+    passed = pass_through([Fault("unplug", 30.0, lasts_s=60.0), Fault("length", 90.0, lasts_s=10.0)], 140.0)
+    judged = judge(passed)
+
+    assert judged.breaches == 0, judged
+    assert passed.readings.size + sum(lost(passed)) == passed.truth.size
+    assert set(lost(passed)) <= {1}
+    assert sum(lost(passed)) < 20
+
+
 def test_a_late_answer_is_not_taken_for_another() -> None:
     faults = [
         Fault("late", 30.0 + 10 * number, delay_s=delay) for number, delay in enumerate((0.5, 1.9, 2.2, 2.5, 5.0))
