@@ -126,6 +126,22 @@ def test_the_number_lost_from_a_fast_stream_is_right_within_what_the_gap_says(ta
         bench.check(before)
 
 
+def test_readings_that_vanished_without_a_word_are_missed_by_the_clock_and_are_a_gap() -> None:
+    with benched() as bench:
+        bench.run(2.0, poll_s=0.0101)
+        before = bench.readings.size
+        bench.clock.move(0.5)
+        bench.instrument.drain(0)  # has the meter make them
+        bench.meter.memory.take(400)  # another program, which leaves no trace but this
+        bench.look()
+        bench.run(0.1)
+        stated, tolerance = bench.check_loss(before)
+
+        assert abs(stated - 400) <= tolerance <= 2
+        assert "did another program read or clear it?" in bench.of_kind("gap")[0].message
+        bench.check(before)
+
+
 def test_what_the_memory_loses_while_nothing_can_be_taken_is_one_gap() -> None:
     with benched() as bench:
         bench.run(0.5, poll_s=0.0101)
