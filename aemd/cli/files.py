@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from aemd.cli.common import Json, app, show
+from aemd.cli.common import Json, app, show, stderr
 
 Compression = Literal["zstd", "none"]
 
@@ -27,6 +27,7 @@ def check(
     json: Json = False,
 ) -> None:
     """Say whether recordings are whole: checksums, indexes, continuity; exit code 1 if one is not."""
+    from aemd.display import counting
     from aemd.errors import RecordingError
     from aemd.record.check import CheckResult
     from aemd.record.check import check as inspect
@@ -35,7 +36,8 @@ def check(
     results = []
     for file in files:
         try:
-            result = inspect(file)
+            with counting("MiB", stderr()) as bar:
+                result = inspect(file, progress=bar)
         except RecordingError as error:  # the others are checked all the same
             finding = str(error).removeprefix(f"{file}: ")
             result = CheckResult(str(file), False, (finding,), (), chunks=0, readings=0, estimates=0, lost=0, gaps=0)

@@ -4,7 +4,7 @@ Chunk by chunk, so that a file of any size takes no memory; every finding is one
 """
 
 import mmap
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,19 +53,25 @@ class CheckResult:
     gaps: int
 
 
-def check(path: Path) -> CheckResult:
+def check(path: Path, *, progress: Callable[[int, int], None] = lambda _done, _total: None) -> CheckResult:
     """Hold everything in the recording that can be held against something else.
+
+    Args:
+        path: the recording.
+        progress: called with the MiB looked at, and those that there are.
 
     Raises:
         RecordingError: it cannot be read at all, or is none of our recordings.
     """
     with open_map(path) as octets, Recording(path, allow_unfinished=True) as recording:
-        return _Checker(path, octets, recording).run()
+        return _Checker(path, octets, recording, progress).run()
 
 
 class _Checker:
-    def __init__(self, path: Path, octets: mmap.mmap, recording: Recording) -> None:
-        self._path, self._octets, self._recording = path, octets, recording
+    def __init__(
+        self, path: Path, octets: mmap.mmap, recording: Recording, progress: Callable[[int, int], None]
+    ) -> None:
+        self._path, self._octets, self._recording, self._progress = path, octets, recording, progress
         self._findings: list[str] = []
         self._unsaid = 0
         self._notes: list[str] = []
@@ -90,6 +96,7 @@ class _Checker:
         noted = {opcode: list[Record]() for opcode in _NOTED}
         for chunk, indexes in self._records(noted):
             self._take(chunk, indexes, next(summarised, None))
+            self._progress(chunk.end >> 20, len(self._octets) >> 20)
         if (extra := next(summarised, None)) is not None:
             self._find(f"the summary tells of a chunk at byte {extra.chunk_start_offset} that is not there")
         self._hold_jumps()
