@@ -82,6 +82,8 @@ def replay_archive(
     if "://" not in out:
         try:
             Path(out).mkdir(parents=True, exist_ok=True)
+        except FileExistsError as error:
+            raise RecordingError(f"{out}: is a file: name a folder by --out") from error
         except OSError as error:
             raise RecordingError(f"{out}: cannot be made: {(error.strerror or str(error)).lower()}") from error
     folder = Place(out)

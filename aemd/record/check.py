@@ -99,7 +99,7 @@ class _Checker:
             self._progress(chunk.end >> 20, len(self._octets) >> 20)
         if (extra := next(summarised, None)) is not None:
             self._find(f"the summary tells of a chunk at byte {extra.chunk_start_offset} that is not there")
-        self._hold_jumps()
+        are_told = self._hold_jumps()
         self._hold_estimates()
         if has_end(self._octets):
             self._hold_end(noted)
@@ -108,7 +108,8 @@ class _Checker:
         if self._unsaid:
             self._findings.append(f"and {self._unsaid} more")
         if self._counts.lost:
-            self._notes.append(f"{self._counts.lost} readings lost in {self._counts.gaps} places, and told of")
+            told = ", and told of" if are_told else ""
+            self._notes.append(f"{self._counts.lost} readings lost in {self._counts.gaps} places{told}")
         return CheckResult(
             file=str(self._path),
             whole=not self._findings,
@@ -260,16 +261,21 @@ class _Checker:
             self._jumps[int(before[at]) + 1, int(index[at]) - 1] = self._chunks
         self._jumps = {jump: chunk for jump, chunk in self._jumps.items() if jump not in self._told}
 
-    def _hold_jumps(self) -> None:
-        """Say which losses no event tells of; one may tell of a part, and another of the rest."""
-        spans = sorted(self._told)
+    def _hold_jumps(self) -> bool:
+        """Say which losses no event tells of, and return whether there is none.
+
+        An event may tell of a part, and another one of the rest.
+        """
+        spans, are_told = sorted(self._told), True
         for first, last in sorted(self._jumps):
             begin = first
             for told_first, told_last in spans:
                 if told_first <= begin <= told_last:
                     begin = told_last + 1
             if begin <= last:
+                are_told = False
                 self._find(f"readings {begin} to {last} are missing, and no event tells of it")
+        return are_told
 
     def _hold_pairs(self, place: str, estimates: Estimates) -> None:
         index = estimates["index"]

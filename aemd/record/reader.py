@@ -331,10 +331,15 @@ def open_map(path: Path) -> mmap.mmap:
     """
     try:
         with path.open("rb") as file:
-            if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+            begin = file.read(len(MCAP0_MAGIC))
+            if begin == MCAP0_MAGIC:
                 return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except IsADirectoryError as error:
+        raise RecordingError(f"{path}: is a folder: name the files in it, as {path}/*.mcap") from error
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from error
+    if not begin:
+        raise RecordingError(f"{path}: is empty: nothing was written to it; remove it, or look for another copy")
     raise RecordingError(
         f"{path}: is no MCAP file: its first 8 bytes are not MCAP's; import a table with `aemd import`"
     )

@@ -247,3 +247,12 @@ def test_a_state_names_estimators_and_arrays_and_nothing_that_could_be_called() 
         load_state(pickle.dumps(os.getcwd))
     with pytest.raises(RecordingError, match="an estimator's state is damaged"):
         load_state(b"\x80\x04nonsense")
+
+
+def test_a_file_in_the_place_of_the_folder_is_one_line(tmp_path: Path) -> None:
+    write(tmp_path / "in" / "a.mcap", readings_of(100))
+    (tmp_path / "out").write_text("mine")
+
+    with pytest.raises(RecordingError, match=r"out: is a file: name a folder by --out$"):
+        replay_archive(str(tmp_path / "in"), str(tmp_path / "out"))
+    assert (tmp_path / "out").read_text() == "mine"

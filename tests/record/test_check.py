@@ -37,7 +37,10 @@ def test_missing_readings_of_which_no_event_tells_are_found(record: Callable[...
     kept = readings[[*range(8), *range(11, 20)]]
     path = record([(Batch(kept), estimates_of(kept))])
 
-    assert check(path).findings == ("readings 8 to 10 are missing, and no event tells of it",)
+    result = check(path)
+
+    assert result.findings == ("readings 8 to 10 are missing, and no event tells of it",)
+    assert result.notes == ("3 readings lost in 1 places",)
 
 
 def test_a_reading_without_its_estimate_is_found(record: Callable[..., Path]) -> None:
