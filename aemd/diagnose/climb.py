@@ -153,7 +153,8 @@ class Climb:
                 self.done = True
                 return
             cut = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
-            if gradient @ cut <= 0:  # cutting each has turned the step downhill
+            turned = gradient @ cut <= 0
+            if turned:  # by cutting each, downhill
                 cut = step * (_LONGEST_STEP / float(np.abs(step).max()))
             trial = np.clip(self.theta + cut, self._low, self._high)
             promised = float(gradient @ (trial - self.theta))
@@ -161,11 +162,11 @@ class Climb:
             self.gained = float(there.sum()) - self.value
             if self.gained > 0:
                 self.theta, self._here, self.value = trial, there, self.value + self.gained
-                self._damping = max(self._damping / 10.0, 1e-7)
-                self.done = self.gained < enough and promised < 10 * enough and self._damping < _FREE
+                self._damping = self._damping * 10.0 if turned else max(self._damping / 10.0, 1e-7)
+                self.done = self.gained < enough and promised < 10 * enough and self._damping < _FREE and not turned
                 return
             self._damping *= 10.0
-            if promised < enough:
+            if 0 <= promised < enough and not turned:  # short or turned for the sake of one number is not the top
                 break
         self.gained, self.done = 0.0, True
 

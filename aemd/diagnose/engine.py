@@ -7,6 +7,8 @@ Joint refits decide what it is called. Held-out blocks decide what it is worth. 
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
+from math import exp, inf, isfinite, log
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +18,18 @@ from numpy.typing import NDArray
 from aemd.diagnose.catalogue import COVERED, NOT_COVERED, experiment_for
 from aemd.diagnose.checks.integrity import check_raw
 from aemd.diagnose.checks.residuals import check_all
-from aemd.diagnose.evidence import Defect, Evidence
+from aemd.diagnose.evidence import Defect, Evidence, two_sided
 from aemd.diagnose.fit import Fit, fit_base, refit, residuals, restart_base
 from aemd.diagnose.gain import SLOW, HeldOut, block_of, measure_gain
 from aemd.diagnose.given import BOUNDED, Given, accept
 from aemd.diagnose.hidden import hidden
-from aemd.diagnose.hypothesis import Data, make_data
+from aemd.diagnose.hypothesis import Data, Term, make_data
 from aemd.diagnose.intervals import covariance, describe
 from aemd.diagnose.naming import Named, name
 from aemd.diagnose.result import Diagnosis, Discrepancy, Finding, Gain, Verdict
 from aemd.diagnose.series import Series, load_series
 from aemd.diagnose.steadiness import compare_allan
+from aemd.diagnose.terms.stated import OtherFigures, other_figures
 from aemd.diagnose.translate import as_tables, to_model
 from aemd.simulate import read_model
 
@@ -37,10 +40,16 @@ Progress = Callable[[str], None]
 
 _LEVEL = 0.003
 """Family-wise probability of any finding on a clean record, first round."""
-_ROUNDS = 6
+_MOST_FINDINGS = 6
+"""After so many terms the search stops and says so; on a record that has more, the first are worth the most by far."""
+_HEAVIEST = 15.0
+"""Times the base's cost of a step of the fit, (states + 1)^2 free numbers, from which no term is added any more: each
+resonance brings two states and three numbers. A bound on work and not on time, so that an answer does not depend on
+what else the machine does."""
 _LEAST_NATS = 4.0
 """Log-likelihood that a term must add to be called an explanation: what a check sees and no term can use is
 `unexplained`."""
+_OTHER_FIGURES = "state these figures and diagnose again; then ask what has changed since the old ones were measured"
 
 
 def diagnose(
@@ -87,26 +96,30 @@ def criticise(
         base = _begin(make_data(series, dropped, known), series, stated)
 
     fit, before, named, seen, left = base, base, list[tuple[Evidence, Named]](), list[Evidence](), list[Evidence]()
-    for number in range(_ROUNDS):
+    stopped = ""
+    for number in count():
         tell(f"checking the residuals, round {number + 1}")
         evidence = check_all(fit, line_frequency_hz)
         left = _significant(evidence, _LEVEL / 2**number)
         seen = seen or left
-        if not left:
+        stopped = _stop(fit, base, number) if left else ""
+        if not left or stopped:
             break
         tell(f"fitting what could explain: {left[0].check}")
-        candidates = [term for item in left for term in item.terms]
+        candidates: list[Term] = [term for item in left for term in item.terms]
+        if stated is not None:
+            candidates += _other_figures(fit)
         found = name(fit, candidates, _LEAST_NATS)
         if found is None:
             break
         named.append((_nominating(left, found), found))
         before, fit = fit, restart_base(found.fit)
     full = fit
-    fit, named = _pruned(fit, named)
+    fit, named, lacking = _pruned(fit, named)
     tell("measuring gains on held-out blocks")
     findings = [_from_defect(defect, base) for defect in defects if defect.cause not in expected]
     spread = covariance(fit)
-    explained = _explained(fit, named, spread, before if fit is full else None)
+    explained = _explained(fit, named, spread, lacking, before if fit is full else None)
     judged = [_judge(item, found) for item, (_, found) in zip(explained, named, strict=True)]
     findings += [item for item, _ in judged]
     if not all(stays for _, stays in judged):  # what does not predict is no explanation, however well it fits
@@ -114,7 +127,7 @@ def criticise(
         fit = refit([fit.terms[number] for number in kept], fit.data, np.concatenate([fit.parts_of(at) for at in kept]))
         spread = covariance(fit)
     if left:
-        findings.append(_unexplained(left, fit))
+        findings.append(_unexplained(left, fit, stopped))
     open_ends = any(item.cause == "unexplained" for item in findings)
     verdict: Verdict = "unexplained" if open_ends else "explained" if findings else "nothing_found"
     return Diagnosis(
@@ -125,6 +138,7 @@ def criticise(
         discrepancies=tuple(
             [Discrepancy(d.check, d.observed, 0.0, d.expected, d.p_value) for d in defects]
             + [Discrepancy(e.check, e.observed, e.low, e.high, e.p_value) for e in seen]
+            + [item for number in range(len(fit.terms)) for item in _stated_figures(fit, number, spread)]
         ),
         base_model=_tables(base, series.aperture_s, spread if base is fit else covariance(base)),
         extended_model=_tables(fit, series.aperture_s, spread),
@@ -141,6 +155,40 @@ def _begin(data: Data, series: Series, stated: tuple[Given, frozenset[str]] | No
     if stated is None:
         return fit_base(data)
     return residuals([replace(stated[0], aperture_s=series.aperture_s)], np.empty(0), data)
+
+
+def _other_figures(fit: Fit) -> list[Term]:
+    """Return the parts of a stated model whose own figures could be what is wrong."""
+    given = fit.terms[0]
+    assert isinstance(given, Given)  # noqa: S101 - what is stated is never fitted
+    changed = {term.number for term in fit.terms if isinstance(term, OtherFigures)}
+    return [term for term in other_figures(given, fit.data.n) if term.number not in changed]
+
+
+def _remark(term: Term) -> str:
+    """Return what is to be said of the figures of a stated model."""
+    return f"The {term.what} has other figures than the stated model has" if isinstance(term, OtherFigures) else ""
+
+
+def _stated_figures(fit: Fit, number: int, spread: Floats) -> list[Discrepancy]:
+    """Return each refitted figure of a stated model beside where fits to simulations of what is stated would lie."""
+    term = fit.terms[number]
+    if not isinstance(term, OtherFigures):
+        return []
+    made = []
+    fitted = describe(fit, number, spread)
+    for parameter in term.parameters(fit.data):
+        stated, value = parameter.value(term.start), fitted[parameter.name]
+        if parameter.positive:
+            reach = log(value.high / value.value) if isfinite(value.high) else inf
+            low, high, away = stated * exp(-reach), stated * exp(reach), abs(log(value.value / stated))
+        else:
+            reach = value.high - value.value
+            low, high, away = stated - reach, stated + reach, abs(value.value - stated)
+        p_value = two_sided(1.96 * away / reach) if reach > 0 else 0.0
+        what = f"{term.what} of the stated model: {parameter.name}, fitted"
+        made.append(Discrepancy(what, value.value, low, high, p_value))
+    return made
 
 
 def _tables(fit: Fit, aperture_s: float, spread: Floats) -> dict[str, Any]:
@@ -172,18 +220,24 @@ def _significant(evidence: list[Evidence], level: float) -> list[Evidence]:
     return ranked
 
 
-def _pruned(fit: Fit, named: list[tuple[Evidence, Named]]) -> tuple[Fit, list[tuple[Evidence, Named]]]:
-    """Take out terms of earlier rounds that later ones made superfluous."""
-    number = 1
-    while number < len(named):  # the last was added in full knowledge of the others
+def _pruned(fit: Fit, named: list[tuple[Evidence, Named]]) -> tuple[Fit, list[tuple[Evidence, Named]], dict[int, Fit]]:
+    """Take out terms of earlier rounds that later ones made superfluous.
+
+    Returns:
+        The fit, its named terms, and by its number the fit without each of them; not without the last, which was added
+        in full knowledge of the others, if nothing was taken out.
+    """
+    number, lacking, whole = 1, dict[int, Fit](), fit
+    while number < len(named) + (fit is not whole):
         kept = [at for at in range(len(fit.terms)) if at != number]
         without = refit([fit.terms[at] for at in kept], fit.data, np.concatenate([fit.parts_of(at) for at in kept]))
         lost = fit.log_likelihood - without.log_likelihood
-        if lost < max(_LEAST_NATS, fit.terms[number].cost_nats):
-            fit, named = without, [*named[: number - 1], *named[number:]]
+        if number < len(named) and lost < max(_LEAST_NATS, fit.terms[number].cost_nats):
+            fit, named, number, lacking = without, [*named[: number - 1], *named[number:]], 1, {}
         else:
+            lacking[number] = without
             number += 1
-    return fit, named
+    return fit, named, lacking
 
 
 def _from_defect(defect: Defect, base: Fit) -> Finding:
@@ -201,40 +255,50 @@ def _from_defect(defect: Defect, base: Fit) -> Finding:
     )
 
 
-def _explained(fit: Fit, named: list[tuple[Evidence, Named]], spread: Floats, before: Fit | None) -> list[Finding]:
+def _explained(
+    fit: Fit,
+    named: list[tuple[Evidence, Named]],
+    spread: Floats,
+    lacking: dict[int, Fit],
+    before: Fit | None,
+) -> list[Finding]:
     """Return a finding for each term, measured against the same model without it.
 
     Args:
         fit: base and terms.
         named: the terms with their evidence.
         spread: covariance of the fit's free numbers.
-        before: the fit without the last term, where it is known.
+        lacking: by the number of a term, the fit without it; see `_pruned`.
+        before: the fit without the last term, begun anew already, where it is known.
     """
-    findings = []
+    findings, scores = [], dict[tuple[float, bool], Floats]()
     for number, (evidence, found) in enumerate(named, start=1):
-        if before is not None and number == len(named):
-            without = before
-        else:
-            terms = [term for at, term in enumerate(fit.terms) if at != number]
-            start = np.concatenate([fit.parts_of(at) for at in range(len(fit.terms)) if at != number])
-            without = restart_base(refit(terms, fit.data, start))
-        held, forward = HeldOut(fit.data, block_of(fit.data, found.term)), found.term.cause in SLOW
+        without = before if number == len(named) and before is not None else lacking[number]
+        if without is not before:
+            without = restart_base(without)
+        block_s, forward = block_of(fit.data, found.term), found.term.cause in SLOW
+        held = HeldOut(fit.data, block_s)
+        if (block_s, forward) not in scores:
+            scores[block_s, forward] = held.score(fit.terms, fit.theta, forward=forward)
         findings.append(
             Finding(
-                cause=found.names[0],
-                names=found.names,
+                cause=_ids(found.names)[0],
+                names=_ids(found.names),
                 probability=found.probability,
                 p_value=evidence.p_value,
                 d_nats=max(fit.log_likelihood - without.log_likelihood - 0.5 * found.term.start.size, 0.0),
                 parameters=describe(fit, number, spread),
                 gain=measure_gain(
                     held.score(without.terms, without.theta, forward=forward),
-                    held.score(fit.terms, fit.theta, forward=forward),
+                    scores[block_s, forward],
                     fit.data.n,
                 ),
                 rms_before=without.innovation_rms,
                 rms_after=fit.innovation_rms,
-                experiment=experiment_for(found.names[0], getattr(found.term, "witness", "")),
+                experiment=_OTHER_FIGURES
+                if isinstance(found.term, OtherFigures)
+                else experiment_for(found.names[0], getattr(found.term, "witness", "")),
+                remark=_remark(found.term),
             )
         )
     return findings
@@ -248,6 +312,8 @@ def _judge(finding: Finding, found: Named) -> tuple[Finding, bool]:
     check's p-value says, and a few blocks' spread would hide most of what is just large enough to be seen. A term that
     predicts but whose name was refused stays, so that what else there is can be found beside it.
     """
+    if finding.remark:  # its figures are wrong as stated, whatever predicts better
+        return finding, True
     gain, name = finding.gain, finding.cause
     lag = finding.parameters.get("lag_s")
     if gain.nats_total <= 0:
@@ -263,12 +329,37 @@ def _judge(finding: Finding, found: Named) -> tuple[Finding, bool]:
     return _nameless(out, f"looks most like {name}, {why}; record for longer"), False
 
 
+def _ids(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the catalogue's names; a stated model's own figures have none."""
+    return tuple(dict.fromkeys(name if name in COVERED else "unexplained" for name in names))
+
+
 def _nameless(finding: Finding, text: str) -> Finding:
     return replace(finding, cause="unexplained", names=("unexplained",), experiment=text)
 
 
-def _unexplained(left: list[Evidence], fit: Fit) -> Finding:
+def _stop(fit: Fit, base: Fit, found: int) -> str:
+    """Return why no further term is sought, in words; empty where one is."""
+    if found >= _MOST_FINDINGS:
+        return f"the search stops after {found} findings"
+    if _weight(fit) > _HEAVIEST * _weight(base):
+        return (
+            f"the search stops after {found} findings, as the model has grown too large to be fitted in reasonable time"
+        )
+    return ""
+
+
+def _weight(fit: Fit) -> float:
+    return float((len(fit.states) + 1) ** 2 * max(fit.theta.size, 6))
+
+
+def _unexplained(left: list[Evidence], fit: Fit, stopped: str) -> Finding:
     nearest = next((term.cause for item in left for term in item.terms), "none of the catalogue")
+    what = f"{left[0].check}: looks most like {nearest}, which"
+    if stopped:
+        text = f"{what} was not fitted: {stopped}; mend what is named above and record again"
+    else:
+        text = f"{what} does not explain it; record again to see it twice"
     return Finding(
         cause="unexplained",
         names=("unexplained",),
@@ -279,6 +370,5 @@ def _unexplained(left: list[Evidence], fit: Fit) -> Finding:
         gain=Gain(0.0, 0.0, 0.0, 0.0),
         rms_before=fit.innovation_rms,
         rms_after=fit.innovation_rms,
-        experiment=f"{left[0].check}: looks most like {nearest}, which does not explain it; record again"
-        " to see it twice",
+        experiment=text,
     )

@@ -60,7 +60,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
 def _finding(finding: Finding) -> tuple[str, str]:
     sizes = ", ".join(f"{_plain(name)} {_say(value)}" for name, value in finding.parameters.items())
     if finding.cause == "unexplained":
-        what = "Unexplained"
+        what = finding.remark or "Unexplained"
     elif len(finding.names) == 1:
         what = f"Consistent with {_plain(finding.cause)}"
     else:

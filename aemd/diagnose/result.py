@@ -51,6 +51,8 @@ class Finding:
     rms_after: float
     experiment: str
     """The cheapest one that would tell the names apart, or test the one."""
+    remark: str = ""
+    """What to say of it where no name of the catalogue does, such as that a stated model's noise is of another size."""
 
 
 @dataclass(frozen=True, slots=True)

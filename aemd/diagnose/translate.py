@@ -30,6 +30,7 @@ from aemd.diagnose.terms.noise import (
 )
 from aemd.diagnose.terms.ranges import RangeOffset, RangeSwitching
 from aemd.diagnose.terms.shapes import Nonlinearity, ReadingPattern, Step, WarmUp
+from aemd.diagnose.terms.stated import OtherFigures
 from aemd.diagnose.terms.witnessed import Latency, SupplyCoupling, ThermalDrift
 
 __all__ = ["as_tables", "to_model"]
@@ -56,6 +57,11 @@ def to_model(fit: Fit, aperture_s: float) -> tuple[model.Model, tuple[str, ...]]
         if isinstance(term, Given):
             terms += term.stated.terms
             effects += term.stated.effects
+            continue
+        if isinstance(term, OtherFigures):  # the stated terms came first, its effects too
+            first = len(term.given.stated.terms)
+            place, at = (terms, term.number) if term.number < first else (effects, term.number - first)
+            place[at] = term.made(theta, fit.data)
             continue
         if isinstance(term, Base):
             terms += _base(term, theta, fit, aperture_s)

@@ -31,10 +31,15 @@ _ACTED_ON = 0.003
 """The engine's family-wise level: of no p above it is the term ever asked for, and its place is costly to refine."""
 
 
-def check_periodic_glitch(fit: Fit) -> Evidence:
+def check_periodic_glitch(fit: Fit, line_nats: float = 0.0) -> Evidence:
     """Fold what a pulse of each width leaves in the residuals, over every period to a reading per record.
 
     The response to a pulse is short beside the periods, so what is summed is independent and normal.
+
+    Args:
+        fit: what is explained so far.
+        line_nats: what the strongest line explains. A train is a comb of lines and explains more than any one of them,
+            so of one that explains less than half of it the instants, which are costly, are not sought.
     """
     data = fit.data
     even = np.zeros(int(data.slot[-1]) + 1)
@@ -56,7 +61,7 @@ def check_periodic_glitch(fit: Fit) -> Evidence:
     score, period_readings, phase, width = best
     p_value = bonferroni(two_sided(score), trials)
     terms: tuple[PeriodicGlitch, ...] = ()
-    if p_value < _ACTED_ON:
+    if p_value < _ACTED_ON and score**2 > line_nats:
         cost = amplitude_cost(1, data.n) + log(trials)
         begin = float(data.t_s[0]) + (phase - 0.5) * data.interval_s
         terms = (_refined(fit, period_readings * data.interval_s, begin, width * data.interval_s, cost),)

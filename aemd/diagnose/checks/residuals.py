@@ -16,19 +16,21 @@ from aemd.diagnose.fit import Fit
 
 __all__ = ["check_all"]
 
+_CERTAIN = 1e-12
+
 
 def check_all(fit: Fit, line_frequency_hz: float | None) -> list[Evidence]:
     """Return the evidence of every check, significant or not."""
+    line, band = check_lines(fit, make_periodogram(fit), line_frequency_hz), check_resonance(fit)
     found = [
-        check_lines(fit, make_periodogram(fit), line_frequency_hz),
+        line,
         check_wandering_line(fit),
-        check_periodic_glitch(fit),
+        check_periodic_glitch(fit, line.observed),
         check_pattern(fit),
-        check_resonance(fit),
+        band,
         *check_colour(fit),
         check_step(fit),
         check_warm_up(fit),
-        check_popcorn(fit),
         check_hole(fit),
         check_range_switching(fit),
         *check_moments(fit),
@@ -36,6 +38,9 @@ def check_all(fit: Fit, line_frequency_hz: float | None) -> list[Evidence]:
         *check_shock_law(fit),
         *check_ring_down(fit),
     ]
+    # A level that jumps has no line and no band; while there are some the costly search for it would be in vain.
+    if len(fit.terms) == 1 or min(line.p_value, band.p_value) > _CERTAIN:
+        found.append(check_popcorn(fit))
     for name in sorted(fit.data.witnesses):
         found += check_witness(fit, name)
     return found

@@ -16,7 +16,7 @@ from aemd.diagnose.fit import Fit
 from aemd.diagnose.hypothesis import Data
 from aemd.diagnose.terms.lines import Sines, amplitude_cost, fold
 
-__all__ = ["Periodogram", "check_lines", "make_periodogram"]
+__all__ = ["Periodogram", "check_lines", "make_periodogram", "still_line"]
 
 Floats = NDArray[np.float64]
 
@@ -112,6 +112,12 @@ def _refine(fit: Fit, frequency_hz: float) -> float:
     bend = low - 2 * middle + high
     shift = 0.5 * (low - high) / bend if bend < 0 else 0.0
     return float(np.clip(frequency_hz + np.clip(shift, -1, 1) * apart, 0, 0.5 / fit.data.interval_s))
+
+
+def still_line(fit: Fit, near_hz: float, width_hz: float) -> Sines:
+    """Return the strongest line near a frequency."""
+    periodogram = make_periodogram(fit)
+    return _free_line(fit, _refine(fit, periodogram.near(near_hz, width_hz)[0]), periodogram)
 
 
 def _free_line(fit: Fit, frequency_hz: float, periodogram: Periodogram) -> Sines:

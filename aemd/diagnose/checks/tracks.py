@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft, next_fast_len
 
-from aemd.diagnose.checks.spectrum import regress
+from aemd.diagnose.checks.spectrum import regress, still_line
 from aemd.diagnose.evidence import Evidence, exceedance_of_peaks
 from aemd.diagnose.fit import Fit
-from aemd.diagnose.terms.lines import WanderingLine, amplitude_cost
+from aemd.diagnose.terms.lines import Sines, WanderingLine, amplitude_cost
 
 __all__ = ["check_wandering_line"]
 
@@ -46,13 +46,15 @@ def check_wandering_line(fit: Fit) -> Evidence:
     cells = even.size / 2
     searches = 2 * _SWEEPS.size * cells
     p_value = exceedance_of_peaks(power_at, searches)
-    terms: tuple[WanderingLine, ...] = ()
+    terms: tuple[Sines | WanderingLine, ...] = ()
     if p_value < 0.05:
         middle_s = data.t_s - data.span_s / 2
         angle = 2 * np.pi * (at_hz + chirp_at * middle_s / 2) * middle_s
         (a, b), _ = regress(fit, [np.cos(angle), np.sin(angle)])
         cost = amplitude_cost(2, data.n) + log(searches)
-        terms = (WanderingLine(at_hz, chirp_at, (float(a), float(b)), cost),)
+        wandering = WanderingLine(at_hz, chirp_at, chirp_at * data.span_s**2, (float(a), float(b)), cost)
+        # A strong line that stands still shows here, too, and need not be the one that the search for lines names.
+        terms = (wandering, still_line(fit, at_hz, 2 / data.span_s))
     return Evidence(
         check="strongest sweeping line in the residuals, in units of the spectrum's mean",
         p_value=p_value,

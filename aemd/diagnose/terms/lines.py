@@ -23,6 +23,29 @@ def fold(frequency_hz: float, rate_hz: float) -> float:
     return abs(frequency_hz - rate_hz * round(frequency_hz / rate_hz))
 
 
+_REMEMBERED = 4
+_SHORT = 100_000
+"""Readings up to which waves are remembered: six harmonics of so many take 10 MB."""
+_recent: dict[tuple[float, tuple[int, ...], int], tuple[Floats, NDArray[np.complex128]]] = {}
+
+
+def _waves(frequency_hz: float, harmonics: tuple[int, ...], t_s: Floats) -> NDArray[np.complex128]:
+    """Return e^(2 pi i h f t) for each harmonic, shape (harmonics, n).
+
+    The last few are remembered: a fit asks again and again with only its other numbers changed. The instants are kept
+    beside them, so that their address stays theirs.
+    """
+    key = frequency_hz, harmonics, id(t_s)
+    if key in _recent:
+        return _recent[key][1]
+    waves: NDArray[np.complex128] = np.exp(np.outer(2j * np.pi * frequency_hz * np.array(harmonics), t_s))
+    if t_s.size <= _SHORT:
+        while len(_recent) >= _REMEMBERED:
+            del _recent[next(iter(_recent))]
+        _recent[key] = t_s, waves
+    return waves
+
+
 @dataclass(frozen=True, slots=True)
 class Sines:
     """Sum over h of a_h cos(2 pi h f t) + b_h sin(2 pi h f t).
@@ -53,10 +76,9 @@ class Sines:
 
     def add(self, theta: Floats, data: Data, parts: Parts) -> None:
         """Put the sum into the mean."""
-        frequency = self.frequency_hz + theta[0] / data.span_s
-        for number, harmonic in enumerate(self.harmonics):
-            angle = 2 * np.pi * harmonic * frequency * data.t_s
-            parts.mean += theta[1 + 2 * number] * np.cos(angle) + theta[2 + 2 * number] * np.sin(angle)
+        waves = _waves(float(self.frequency_hz + theta[0] / data.span_s), self.harmonics, data.t_s)
+        for number in range(len(self.harmonics)):
+            parts.mean += theta[1 + 2 * number] * waves[number].real + theta[2 + 2 * number] * waves[number].imag
 
     def parameters(self, data: Data) -> Sequence[Parameter]:
         """Return frequency, alias where it is one, and peak amplitudes, as the readings show them."""
@@ -86,6 +108,10 @@ class Sines:
         return shown
 
 
+_STILL = 1.0
+"""Frequencies of the record below which what is crossed cannot be told from none."""
+
+
 @dataclass(frozen=True, slots=True)
 class WanderingLine:
     """a cos(phase) + b sin(phase) of a frequency that sweeps evenly; times count from the middle of the record.
@@ -96,6 +122,8 @@ class WanderingLine:
     frequency_hz: float
     """f0, in the middle of the record."""
     chirp_hz_per_s: float
+    swept: float
+    """chirp0 T^2: frequencies of the record that it crosses."""
     amplitudes: tuple[float, float]
     cost_nats: float
     cause: str = "wandering_line"
@@ -107,8 +135,10 @@ class WanderingLine:
 
     @property
     def bounds(self) -> Sequence[Bounds]:
-        """Of frequency and sweep, some steps of the search; amplitudes are free."""
-        return [(-2.0, 2.0), (-4.0, 4.0), (-1e9, 1e9), (-1e9, 1e9)]
+        """Of frequency and sweep, some steps of the search, without standing still; amplitudes are free."""
+        still = _STILL - abs(self.swept)
+        sweep = (max(-4.0, still), 4.0) if self.swept > 0 else (-4.0, min(4.0, -still))
+        return [(-2.0, 2.0), sweep, (-1e9, 1e9), (-1e9, 1e9)]
 
     def add(self, theta: Floats, data: Data, parts: Parts) -> None:
         """Put the wave into the mean."""
