@@ -1,15 +1,20 @@
 """The `imm` estimator that a model asks for: what is of the input, what disturbs it, and how the two are told apart.
 
-What the estimator knows is less than what the catalogue has. A part that it has no place for is given to the nearest
-process that it has, by its variance: to the white noise if it moves within a second, else to the slow disturbance. Both
-keep it out of the input, which is what a user of the estimate wants, though not as well as its own law would.
+What the estimator knows is less than what the catalogue has. Lines and resonances are parts of their own that it
+follows and leaves out of the estimate. A part that it has no place for is given to the nearest process that it has, by
+its variance: to the white noise if it moves within a second, else to the slow disturbance. Both keep it out of the
+input, which is what a user of the estimate wants, though not as well as its own law would.
 """
 
 from dataclasses import dataclass, field
 from math import exp, inf, log, pi, sqrt
+from typing import Literal
+
+import numpy as np
 
 from aemd import model
 from aemd.config import EstimatorChoice
+from aemd.diagnose.terms.lines import fold
 from aemd.estimate.imm import ImmOptions
 
 __all__ = ["estimator_for"]
@@ -22,6 +27,8 @@ _LEAST_V = 1e-12
 """Of a standard deviation, which must be above 0; a tenth of the least that any meter resolves."""
 _FAR = 30.0
 """Standard deviations of the noise that an abrupt disturbance has where the model has none."""
+_INPUT: tuple[Literal["input"]] = ("input",)
+_DISTURBANCE: tuple[Literal["disturbance"]] = ("disturbance",)
 _UNSEEN = (model.MissingSamples, model.StuckReadings, model.ReplayedBlock, model.TimestampJitter, model.ClockError)
 """Effects that an estimator is told of by a reading's status or its time, or cannot know."""
 
@@ -35,6 +42,8 @@ class _Parts:
     """Variance and time constant of each slow process."""
     outliers: tuple[float, float] | None = None
     """Share of the readings and their standard deviation, V."""
+    swinging: list[tuple[float, float, float]] = field(default_factory=list)
+    """Standard deviation, V, time constant, s, and frequency, Hz, of each line and resonance."""
     memory_s: float = inf
     approximated: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
@@ -66,9 +75,16 @@ def estimator_for(
     shocks = [term for term in made.terms if isinstance(term, model.Shocks)]
     disturbed_V, quiet_s, disturbed_s = _abrupt(shocks, parts, signal, noise_V, interval_s, span_s)
     options = ImmOptions(
-        signal_V=tuple(max(_deviation(term, span_s), _LEAST_V) for term in signal),
-        signal_tau_s=tuple(min(term.tau_s, _FOREVER * span_s) for term in signal),
-        signal_hz=(0.0,) * len(signal),
+        signal_V=(
+            *(max(_deviation(term, span_s), _LEAST_V) for term in signal),
+            *(max(sd_V, _LEAST_V) for sd_V, _, _ in parts.swinging),
+        ),
+        signal_tau_s=(
+            *(min(term.tau_s, _FOREVER * span_s) for term in signal),
+            *(tau_s for _, tau_s, _ in parts.swinging),
+        ),
+        signal_hz=((0.0,) * len(signal) + tuple(hz for _, _, hz in parts.swinging)),
+        signal_is=(*_INPUT * len(signal), *_DISTURBANCE * len(parts.swinging)) if parts.swinging else (),
         slow_V=slow_V,
         slow_tau_s=slow_tau_s,
         origin_V=level_V,
@@ -99,6 +115,25 @@ def _gather(
             parts.noise += part.sd(aperture_s) ** 2 * min(there, 1.0)
             if there < 1:  # its factor is followed, fast enough to have learnt it within a fifth of its stay
                 parts.memory_s = min(parts.memory_s, max(part.duration_s / 5, 20 * interval_s))
+        case model.Sine(role=role, amplitude_V=amplitude, frequency_hz=hz) if role != "signal":
+            # As the readings show it, of a phase that the next record will have to find: it forgets within the span.
+            parts.swinging.append(
+                (abs(amplitude * np.sinc(hz * aperture_s)) / sqrt(2), span_s, fold(hz, 1 / interval_s))
+            )
+        case model.Resonance(role=role, sd_V=sd, frequency_hz=hz, quality=quality) if (
+            role != "signal" and hz < 0.5 / interval_s
+        ):
+            parts.swinging.append((sd, quality / (pi * hz), hz * sqrt(1 - 1 / (4 * quality**2))))
+        case model.WanderingLine(role=role, amplitude_V=amplitude, frequency_hz=hz, chirp_hz_per_s=chirp) if (
+            role != "signal" and 0 < hz + chirp * span_s / 2 < 0.5 / interval_s
+        ):
+            # As wide as it wanders: its phase is lost within the time that its frequencies take to part.
+            wandered = abs(chirp) * span_s + part.wander_hz_per_rt_s * sqrt(span_s)
+            middle_hz = hz + chirp * span_s / 2
+            passed = float(np.sinc(middle_hz * aperture_s))
+            parts.swinging.append((abs(amplitude * passed) / sqrt(2), min(span_s, 1 / (pi * wandered)), middle_hz))
+        case model.ReadingPattern(offsets_V=(first, second)):
+            parts.swinging.append((abs(first - second) / 2, span_s, 0.5 / interval_s))
         case model.Quantiser(step_V=step):
             parts.noise += step**2 / 12
         case model.HeavyTails(sd_V=sd, dof=dof):

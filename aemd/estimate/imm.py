@@ -30,6 +30,9 @@ class ImmOptions:
     """Time in which each part forgets (tau_s of the paper's eq. 2), s."""
     signal_hz: tuple[Annotated[float, Ge(0)], ...] = (0.0,)
     """Frequency that each part swings at, Hz; 0 is the first-order Markov process of eq. 2."""
+    signal_is: tuple[Literal["input", "disturbance"], ...] = ()
+    """What each part is, one for each in signal_V; none: all are the input. A disturbance, such as a line or a
+    resonance of the table, is followed as the others are, and left out of the estimate."""
     drive_V: tuple[Positive, ...] = ()
     """Noise per reading that one source gives to each part at once, V; none: each part has only a noise of its own.
     What vibrates is shaken at one place, and only parts that move together can cancel between two resonances."""
@@ -83,6 +86,13 @@ class ImmOptions:
                 f"signal_V, signal_tau_s, signal_hz have {len(self.signal_V)}, {len(self.signal_tau_s)} and "
                 f"{len(self.signal_hz)} values: must have as many"
             )
+        if len(self.signal_is) not in {0, len(self.signal_V)} or not set(self.signal_is) <= {"input", "disturbance"}:
+            raise ValueError(
+                f"signal_is = {list(self.signal_is)}: must be 'input' or 'disturbance', as many as signal_V, "
+                f"{len(self.signal_V)}, or none"
+            )
+        if self.signal_is and "input" not in self.signal_is:
+            raise ValueError(f"signal_is = {list(self.signal_is)}: at least one must be 'input'")
         if len(self.drive_V) != len(self.drive_rad) or len(self.drive_V) not in {0, len(self.signal_V)}:
             raise ValueError(
                 f"drive_V, drive_rad have {len(self.drive_V)} and {len(self.drive_rad)} values: must have as many as "
@@ -102,13 +112,13 @@ class Imm:
         z = origin + s + u_in + w                   the quiet mode, w of variance noise_V^2
         z = origin + s + u_in + u_ex + w            the disturbed one, u_ex of variance disturbed_V^2
 
-    s is a sum of Markov processes, each of first order (eq. 2 of the paper) or swinging at a frequency of its own; u_in
-    is a slower one: what tells them apart is the band that each is in, so where the bands overlap they cannot be told
-    apart, and the estimate splits a reading between them in the ratio of their spectra. u_ex is told by its size: the
-    mode is a Markov chain, the modes' estimates are mixed before each reading with the chain's probabilities, and
-    weighed after it with their likelihoods (Blom and Bar-Shalom, IEEE Trans. Automatic Control 33, 780, 1988). In the
-    disturbed mode a reading has next to no weight, so the input is carried on by its own model until the readings
-    agree with it again.
+    s is a sum of Markov processes, each of first order (eq. 2 of the paper) or swinging at a frequency of its own. u_in
+    is a slower one, and those of them that are said to be disturbances. What tells them apart is the band that each is
+    in, so where the bands overlap they cannot be told apart, and the estimate splits a reading between them in the
+    ratio of their spectra. u_ex is told by its size: the mode is a Markov chain, the modes' estimates are mixed before
+    each reading with the chain's probabilities, and weighed after it with their likelihoods (Blom and Bar-Shalom, IEEE
+    Trans. Automatic Control 33, 780, 1988). In the disturbed mode a reading has next to no weight, so the input is
+    carried on by its own model until the readings agree with it again.
 
     value_V         the mean over both modes, given the readings up to `lag` after it
     sigma_V         half the 95 % interval over 1.96; that of a Gaussian is its standard deviation
@@ -184,6 +194,7 @@ def imm_model(options: ImmOptions, interval_s: float) -> imm_kernels.ImmModel:
         # A mode that is never left, or always at once, would make the other impossible, and 0 be divided by.
         leave=np.clip(-np.expm1(-interval_s / durations_s), 1e-15, 1 - 1e-15),
         slow_is_input=int(options.slow == "input"),
+        is_input=np.array([float(kind == "input") for kind in options.signal_is or ["input"] * theta.size]),
         origin=math.nan if options.origin_V is None else float(options.origin_V),
         gate=float(options.gate),
         restart_after=options.restart_after,

@@ -85,6 +85,8 @@ class ImmModel(NamedTuple):
     """Probability of leaving mode 0 and mode 1 before the next reading, shape (2,)."""
     slow_is_input: int
     """1 where the slow part is of the input, else 0."""
+    is_input: Floats
+    """1 of each pair that is of the input, 0 of a disturbance, shape (m,)."""
     origin: float
     """V; NaN: the first reading with a value."""
     gate: float
@@ -306,7 +308,9 @@ def update_held(
 
 
 @kernel(error_model="numpy", inline="always")
-def hold(pairs: tuple[int, ...], held: Held, slot: int, x: Floats, P: Floats, slow_is_input: int) -> None:
+def hold(
+    pairs: tuple[int, ...], held: Held, slot: int, x: Floats, P: Floats, slow_is_input: int, is_input: Floats
+) -> None:
     """Put the present input into a slot, its mean, variance and covariance with the state in each mode."""
     m, last = len(pairs), 2 * len(pairs)
     mean, variance, cross = held
@@ -314,12 +318,12 @@ def hold(pairs: tuple[int, ...], held: Held, slot: int, x: Floats, P: Floats, sl
         for r in range(last + 1):
             cross[j, slot, r] = P[j, r, last] if slow_is_input else 0.0
             for i in range(m):
-                cross[j, slot, r] += P[j, r, 2 * i]
+                cross[j, slot, r] += is_input[i] * P[j, r, 2 * i]
         mean[j, slot] = x[j, last] if slow_is_input else 0.0
         variance[j, slot] = cross[j, slot, last] if slow_is_input else 0.0
         for i in range(m):
-            mean[j, slot] += x[j, 2 * i]
-            variance[j, slot] += cross[j, slot, 2 * i]
+            mean[j, slot] += is_input[i] * x[j, 2 * i]
+            variance[j, slot] += is_input[i] * cross[j, slot, 2 * i]
 
 
 @kernel(error_model="numpy")
@@ -426,7 +430,7 @@ def run_imm(
     # One array each: a tuple of arrays costs a count of references up and down at every call.
     x, P, mu, held, rows, PH = state.x, state.P, state.mu, state.held, state.rows, state.scratch
     cos, sin, Q, R, leave, drive = model.cos, model.sin, model.Q, model.R, model.leave, model.drive
-    phi, slow_Q = model.slow_phi, model.slow_Q
+    phi, slow_Q, is_input = model.slow_phi, model.slow_Q, model.is_input
     now, last = state.now[0], 2 * len(pairs)
     released = 0
     for k in range(z.size):
@@ -481,11 +485,13 @@ def run_imm(
             now.disturbed = now.disturbed + 1 if mu[1] > 0.5 else 0
         else:
             u = 0.0 if model.slow_is_input else mu[0] * x[0, last] + mu[1] * x[1, last]
+            for i in range(len(pairs)):
+                u += (1.0 - is_input[i]) * (mu[0] * x[0, 2 * i] + mu[1] * x[1, 2 * i])
             flags |= COASTED
             now.hole += 1
 
         slot = now.slot
-        hold(pairs, held, slot, x, P, model.slow_is_input)
+        hold(pairs, held, slot, x, P, model.slow_is_input, is_input)
         row = rows[slot]
         row.index, row.t_ns, row.status, row.log_likelihood = index[k], t_ns[k], flags, likelihood
         row.value_V, row.u_V = now.origin, u

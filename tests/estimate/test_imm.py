@@ -125,6 +125,25 @@ def test_without_disturbances_the_lag_is_filterpys_smoother() -> None:
         assert ours["sigma_V"][k] == pytest.approx(math.sqrt(smoothed_P[k, 0, 0]), rel=1e-8)
 
 
+@pytest.mark.parametrize("lag", [0, 7])
+def test_a_part_that_is_a_disturbance_is_left_out_as_the_slow_part_is(lag: int) -> None:
+    """The slow part said as a part of its own, of the same law: all that is estimated stays, through holes, too."""
+    options = replace(ABOUT_ZERO, slow_V=2e-3, slow_tau_s=30.0, lag=lag)
+    said_otherwise = replace(
+        options,
+        signal_V=(*options.signal_V, options.slow_V),
+        signal_tau_s=(*options.signal_tau_s, options.slow_tau_s),
+        signal_hz=(0.0, 0.0),
+        signal_is=("input", "disturbance"),
+        slow_V=1e-15,
+    )
+    block = with_holes(drawn(options, seed=21)[0], seed=22)
+    ours, expected = estimates_of(said_otherwise, block), estimates_of(options, block)
+
+    for name in FIELDS:
+        np.testing.assert_allclose(ours[name], expected[name], rtol=1e-8, atol=1e-12, err_msg=name)
+
+
 @pytest.mark.parametrize("lag", [0, 9])
 @given(cuts=st.lists(st.integers(0, 380), max_size=6), seed=st.integers(0, 3), driven=st.booleans())
 def test_cutting_the_stream_changes_no_bit(lag: int, cuts: list[int], seed: int, driven: bool) -> None:
@@ -333,6 +352,9 @@ def test_readings_that_repeat_to_the_last_digit_leave_a_finite_estimate() -> Non
         ({"noise_V": 0.0}, "noise_V"),
         ({"lag": -1}, "lag"),
         ({"slow": "drift"}, "slow"),
+        ({"signal_is": ("input", "input")}, "as many as signal_V, 1, or none"),
+        ({"signal_is": ("noise",)}, "must be 'input' or 'disturbance'"),
+        ({"signal_is": ("disturbance",)}, "at least one must be 'input'"),
     ],
 )
 def test_options_that_cannot_be_are_refused(options: dict[str, object], rule: str) -> None:
