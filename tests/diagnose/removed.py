@@ -92,11 +92,13 @@ CASES: Mapping[str, Case] = {
     ),
     "resonance": _term("resonance", "frequency_hz = 4.0\nquality = 20.0\nsd_V = 1.6e-4", ("quality", 20.0)),
     "flicker_noise": _term("flicker_noise", "amplitude_V = 2e-4\nlow_hz = 1e-3\nhigh_hz = 7.0", ("amplitude_V", 2e-4)),
-    "random_walk": _term("gauss_markov", 'role = "internal"\nrate_V_per_rt_s = 4e-4', ("rate_V_per_rt_s", 4e-4)),
+    "random_walk": _term(
+        "gauss_markov", 'role = "internal"\nrate_V_per_rt_s = 1.5e-4', ("rate_V_per_rt_s", 1.5e-4), seconds=2000.0
+    ),
     "difference_noise": _effect("difference_noise", "sd_V = 2e-4", ("sd_V", 2e-4)),
     "smoothing": _effect("smoothing", "kept = 0.1", ("fraction", 0.1)),
     "extra_gauss_markov": _term(
-        "gauss_markov", 'role = "internal"\nrate_V_per_rt_s = 6e-4\ntau_s = 6.0', ("tau_s", 6.0)
+        "gauss_markov", 'role = "internal"\nrate_V_per_rt_s = 5e-4\ntau_s = 6.0', ("tau_s", 6.0), seconds=2000.0
     ),
     "popcorn_noise": _term(
         "popcorn_noise", "step_V = 2e-3\ndwell_low_s = 5.0\ndwell_high_s = 5.0", ("step_V", 2e-3), CALM

@@ -2,10 +2,16 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from aemd import model
 from aemd.diagnose import COVERED, diagnose
-from aemd.diagnose.given import accept
+from aemd.diagnose.fit import densities
+from aemd.diagnose.given import Given, accept
+from aemd.diagnose.hypothesis import make_data
+from aemd.diagnose.series import load_series
+from aemd.diagnose.terms.stated import other_figures
 from aemd.errors import ConfigError
 from aemd.simulate import read_model, simulate
 from tests.diagnose.removed import BASE, CALM, CASES, FAST, run_case
@@ -60,3 +66,23 @@ def test_what_the_likelihood_does_not_carry_is_refused_in_one_line_that_says_wha
 
     assert "\n" not in str(refusal.value)
     assert "likelihood" in str(refusal.value)
+
+
+@pytest.mark.parametrize("cause", ["heavy_tails", "ring_down", "flicker_noise", "difference_noise", "resonance"])
+def test_a_part_with_other_figures_is_the_model_that_states_them(tmp_path, cause):
+    """Each figure of each part times 1.3: the density of every reading is that under the model so written."""
+    (tmp_path / "a.toml").write_text(CASES[cause].true)
+    simulate(tmp_path / "a.toml", seconds=60, seed=3, out=tmp_path / "a.mcap")
+    given, _ = accept(read_model(tmp_path / "a.toml"), "a.toml")
+    data = make_data(load_series(tmp_path / "a.mcap"))
+
+    for figures in other_figures(given, data.n):
+        theta = np.full(figures.start.size, np.log(1.3))
+        parts = [*given.stated.terms, *given.stated.effects]
+        parts[figures.number] = figures.made(theta, data)
+        first = len(given.stated.terms)
+        stated = Given(model.Model(tuple(parts[:first]), effects=tuple(parts[first:])))
+
+        np.testing.assert_allclose(
+            densities([given, figures], theta, data), densities([stated], np.empty(0), data), rtol=1e-9, atol=1e-9
+        )

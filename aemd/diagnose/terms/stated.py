@@ -100,6 +100,8 @@ class OtherFigures:
         parts.mean += new.mean - old.mean
         parts.noise_var += new.noise_var - old.noise_var
         parts.extras = np.where(new.extras != old.extras, new.extras, parts.extras)
+        if old.tails:  # there is one such noise at most
+            parts.tails = new.tails
         count = len(old.states)
         for at in range(len(parts.states) - count + 1):
             if count and parts.states[at : at + count] == old.states:
@@ -107,6 +109,7 @@ class OtherFigures:
                 break
         if isinstance(self.part, model.Shocks):
             parts.shocks = np.array([*new.shocks[:2], parts.shocks[2]])
+            parts.struck = [0.0] * int(parts.shocks[2]) + new.struck
 
     def made(self, theta: Floats, data: Data) -> Any:
         """Return the part with these figures."""
