@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aemd import model
+from aemd.diagnose.apertures import averaged_markov, struck_between
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.given import Given
 from aemd.diagnose.hypothesis import Base
@@ -40,6 +41,17 @@ Made = tuple[list[Any], list[Any]]
 
 _BLOCKED = 0.05
 """Part of a sinusoid that an aperture must let through for its amplitude before the aperture to mean anything."""
+_ORDER = (
+    model.Nonlinearity,
+    model.DifferenceNoise,
+    model.HeavyTails,
+    model.SignalDependentNoise,
+    model.ReadingPattern,
+    model.SupplyCoupling,
+    model.RangeSwitching,
+    model.Smoothing,
+)
+"""In which the filter has effects meet a reading, whichever was found first."""
 _A_WALK = 100.0
 """Spans of the record from which a time constant is called infinite."""
 
@@ -75,6 +87,8 @@ def to_model(fit: Fit, aperture_s: float) -> tuple[model.Model, tuple[str, ...]]
         made, changed = make(term, theta, fit, aperture_s)
         terms += made
         effects += changed
+    if isinstance(fit.terms[0], Base):  # in which the fit has them; a stated model's have an order of their own
+        effects.sort(key=lambda effect: _ORDER.index(type(effect)) if type(effect) in _ORDER else len(_ORDER))
     return model.Model(tuple(_struck(terms, fit)), 1, tuple(effects)), tuple(without)
 
 
@@ -90,18 +104,23 @@ def as_tables(made: model.Model) -> Mapping[str, Any]:
 def _base(base: Base, v: Floats, fit: Fit, aperture_s: float) -> list[Any]:
     unit, span = fit.data.unit_V, fit.data.span_s
     drift_tau_s = exp(v[2])
+    # What is fitted is at instants; the model's processes are averaged, which takes from the white noise what is fast.
+    kept, lost = zip(*(averaged_markov(exp(v[at]), exp(v[at + 1]), aperture_s) for at in (0, 2)), strict=True)
+    signal, drift = (exp(v[at + 1]) ** 2 / rate for at, rate in zip((0, 2), kept, strict=True))
+    white = sqrt(exp(2 * v[4]) * _quietest(fit) ** 2 - sum(lost))
     made: list[Any] = [
         model.Level(level_V=float(v[5] * unit + fit.data.origin_V)),
-        model.GaussMarkov(role="signal", rate_V_per_rt_s=exp(v[1]) * unit, tau_s=exp(v[0])),
+        model.GaussMarkov(role="signal", rate_V_per_rt_s=signal * unit, tau_s=exp(v[0])),
         model.GaussMarkov(
             role="internal",
-            rate_V_per_rt_s=exp(v[3]) * unit,
+            rate_V_per_rt_s=drift * unit,
             tau_s=inf if drift_tau_s > _A_WALK * span else drift_tau_s,
         ),
-        model.WhiteNoise.from_sd(exp(v[4]) * unit * _quietest(fit), aperture_s),
+        model.WhiteNoise.from_sd(white * unit, aperture_s),
     ]
     if base.shocks:
-        made.append(model.Shocks(rate_per_s=exp(v[6]), sd_V=exp(v[7]) * unit, decay_s=exp(v[8])))
+        left = struck_between(exp(v[8]), fit.data.interval_s)
+        made.append(model.Shocks(rate_per_s=exp(v[6]), sd_V=exp(v[7]) * unit / left, decay_s=exp(v[8])))
     return made
 
 

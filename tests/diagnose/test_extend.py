@@ -4,6 +4,11 @@ import numpy as np
 import pytest
 
 from aemd.diagnose import criticise, diagnose, format_diagnosis, model_of, write_extended
+from aemd.diagnose.fit import fit_base, residuals
+from aemd.diagnose.given import accept
+from aemd.diagnose.hypothesis import make_data
+from aemd.diagnose.terms.noise import DifferenceNoise, Smoothing
+from aemd.diagnose.translate import to_model
 from aemd.model import Resonance, Sine
 from aemd.simulate import read_model, simulate
 from tests.diagnose.plant import INTERVAL_S, clean, series, times
@@ -74,3 +79,15 @@ def test_the_report_of_a_clean_record_claims_no_more_than_was_looked_for():
 
     assert text.startswith("Nothing found")
     assert "as far as was looked" in text
+
+
+def test_an_extended_model_is_written_in_the_order_that_the_filter_has_and_can_be_stated():
+    """A smoothing found first and noise that neighbours share second: the noise is written first, and accepted."""
+    rng = np.random.default_rng(7)
+    y = clean(7, 9_000) + 0.6e-3 * np.diff(rng.standard_normal(9_001))
+    fit = fit_base(make_data(series(y)))
+    theta = np.concatenate((fit.theta, Smoothing(0.4, 0.0).start, DifferenceNoise(1.0, 0.0).start))
+    made, _ = to_model(residuals([*fit.terms, Smoothing(0.4, 0.0), DifferenceNoise(1.0, 0.0)], theta, fit.data), 0.02)
+
+    assert [effect.effect for effect in made.effects] == ["difference_noise", "smoothing"]
+    assert accept(made, "made")[0].stated is made
