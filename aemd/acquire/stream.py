@@ -20,7 +20,7 @@ import numpy as np
 
 from aemd.acquire.cadence import Cadence
 from aemd.acquire.clock import DeviceClock
-from aemd.acquire.instrument import Clock, Drain, Instrument, Recoverable
+from aemd.acquire.instrument import BusyError, Clock, Drain, Instrument, Recoverable
 from aemd.acquire.ledger import Ledger
 from aemd.block import READING, Block, Event
 from aemd.errors import InstrumentError
@@ -233,6 +233,8 @@ class Stream:
             try:
                 yield from self._resume(instrument, began_ns, afresh=is_silent)
             except InstrumentError as latest:
+                if isinstance(latest, BusyError) and not isinstance(error, BusyError):
+                    yield self._told("link", f"lost: {latest}")
                 error = latest
             else:
                 return
@@ -284,7 +286,7 @@ class Stream:
     def _grows(self) -> Generator[Delivery, None, bool]:
         """Tell whether readings come in, whatever the instrument says of its state."""
         before = self._taken + self._left
-        self._told_to_stop = self._wait(min(GROWTH_INTERVALS * self._instrument.interval_s, LONGEST_GROWTH_S))
+        self._told_to_stop |= self._wait(min(GROWTH_INTERVALS * self._instrument.interval_s, LONGEST_GROWTH_S))
         yield from self._take_rest()
         return self._taken + self._left > before
 
@@ -333,7 +335,7 @@ class Stream:
             elif self._is_abandoned():
                 return
             else:
-                self._wait(self._cadence.poll_s)
+                self._told_to_stop |= self._wait(self._cadence.poll_s)
 
     def _miss(self, why: str) -> Iterator[Delivery]:
         if self._missing() > 0:

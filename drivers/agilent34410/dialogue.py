@@ -24,6 +24,7 @@ from typing import TypeVar
 
 from aemd.acquire.instrument import OtherInstrumentError, RefusedError
 from aemd.errors import InstrumentError
+from agilent34410.busy import refuse_busy
 from agilent34410.link import Link
 
 __all__ = ["Dialogue", "Look"]
@@ -57,20 +58,22 @@ class Dialogue:
         open_link: opens a new line to the same place.
         link: the one that is open, whose other end has said who it is.
         identity: its answer to *IDN?.
+        salt: where the numbers begin; another for each program, so that two are not taken for each other.
 
     Raises:
         InstrumentError: the link failed, or the meter does not keep its masks.
     """
 
-    def __init__(self, open_link: Callable[[], Link], link: Link, identity: str) -> None:
+    def __init__(self, open_link: Callable[[], Link], link: Link, identity: str, salt: int = 0) -> None:
         self._open_link = open_link
         self._link = link
         self._identity = identity
         self._in_step = True
         self._numbers: tuple[int, ...] = ()
         self._journal_numbers: tuple[int, ...] = ()
-        self._number = self._last_entry = 0
+        self._number = self._last_entry = salt
         self._entry = 0
+        self._is_anothers = False
         self._in_doubt: tuple[int, int] | None = None
         self._may_come: dict[int, int] = {}
         self._torn = 0
@@ -86,6 +89,19 @@ class Dialogue:
     def is_restarted(self) -> bool:
         """Whether the journal is empty: the meter was switched on since it was begun."""
         return self._entry == 0
+
+    @property
+    def is_anothers(self) -> bool:
+        """Whether another program was found to have written the journal since: nothing in the memory is ours."""
+        return self._is_anothers
+
+    def refuse_busy(self, sleep: Callable[[float], None]) -> None:
+        """Make sure that no other program is taking readings out of the meter.
+
+        Raises:
+            InstrumentError: one is (`BusyError`), or the link failed.
+        """
+        self._exchange(lambda link: refuse_busy(link, sleep))
 
     def ask(self, body: str) -> str:
         """Send one or more commands and questions as one message; return the answers, joined by `;`.
@@ -191,8 +207,11 @@ class Dialogue:
             InstrumentError: the link failed.
         """
         entry = self._next_entry()
+        self._may_come[entry] = 0  # should the answer be lost, it is known as ours
         self.ask(f"{_JOURNAL} {entry}")
+        self._may_come.pop(entry)
         self._entry = entry
+        self._is_anothers = False
 
     def farewell(self, command: str) -> None:
         """Leave the masks as they are found at power on, and say one last thing."""
@@ -280,10 +299,12 @@ class Dialogue:
             doubtful, count = self._in_doubt
             self._may_come[doubtful] = count
             self._in_doubt = None
-        self._torn += self._may_come.pop(entry, 0)
+        self._is_anothers = entry not in (0, self._entry, *self._may_come)
+        if not self._is_anothers:
+            self._torn += self._may_come.pop(entry, 0)
+            self._entry = entry
         while len(self._may_come) > MOST_MAY_COME:
             self._may_come.pop(next(iter(self._may_come)))
-        self._entry = entry
 
     def _integers(self, answer: str, question: str, count: int) -> list[int]:
         try:

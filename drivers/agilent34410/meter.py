@@ -69,11 +69,11 @@ def open_instrument(
         answer = link.query("*IDN?")
         identity = _identify(answer, link.resource)
         refuse_busy(link, sleep)
-        dialogue = Dialogue(opener, link, answer)
+        dialogue = Dialogue(opener, link, answer, salt=clock() // 1_000_000)
     except BaseException:
         link.close()  # and say nothing more to a stranger
         raise
-    meter = Meter(dialogue, identity, MEMORY_READINGS[identity["model"]], options, clock)
+    meter = Meter(dialogue, identity, MEMORY_READINGS[identity["model"]], options, clock, sleep)
     try:
         meter.configure()
     except BaseException:
@@ -86,7 +86,13 @@ class Meter:
     """A 34410A or one of its kin, as `aemd.acquire.instrument.Instrument`; made by `open_instrument`."""
 
     def __init__(
-        self, dialogue: Dialogue, identity: Mapping[str, str], memory_readings: int, options: Options, clock: Clock
+        self,
+        dialogue: Dialogue,
+        identity: Mapping[str, str],
+        memory_readings: int,
+        options: Options,
+        clock: Clock,
+        sleep: Callable[[float], None],
     ) -> None:
         self.identity = identity
         self.memory_readings = memory_readings
@@ -97,6 +103,7 @@ class Meter:
         self._dialogue = dialogue
         self._options = options
         self._clock = clock
+        self._sleep = sleep
         self._errors_asked_ns = 0
         self._settings_lost = False
         # What a look found and no Drain has told of yet: the question clears it in the meter, and the link may fail
@@ -197,22 +204,26 @@ class Meter:
     def recover(self, *, afresh: bool = False) -> Recovery:
         """Try the next rung of the ladder (`Dialogue.restore`), and look at what state the meter is in.
 
-        Only questions are sent, which change nothing: above all no INIT, which would clear the memory.
+        Only questions are sent, which change nothing: above all no INIT, which would clear the memory. A meter that
+        another program took over meanwhile is left to it for as long as it reads; then it must be set up again.
 
         Args:
             afresh: count the settings as lost.
 
         Raises:
-            InstrumentError: not yet.
+            InstrumentError: not yet (`BusyError`: another program is reading it).
         """
         self._lost_events |= self._events_unseen
         self._events_unseen = False
         how = self._dialogue.restore()
+        is_anothers = self._dialogue.is_anothers
+        if is_anothers:
+            self._dialogue.refuse_busy(self._sleep)
         condition = self._number({"COND": self._dialogue.ask("STAT:OPER:COND?")}, "COND", least=0.0)
         found, known = self._read_settings(), self.settings
         # The shortest interval depends on what the meter is doing; it is asked for once, to judge ours.
         kept = all(found[question] == known[question] for question in found if question != "SAMP:TIM? MIN")
-        self._settings_lost |= afresh or self._dialogue.is_restarted or not kept
+        self._settings_lost |= afresh or is_anothers or self._dialogue.is_restarted or not kept
         return Recovery(
             sampling=bool(int(condition) & MEASURING_OR_WAITING) and not self._settings_lost,
             settings_kept=not self._settings_lost,

@@ -187,3 +187,36 @@ def test_an_instrument_without_a_way_back_ends_the_acquisition() -> None:
     stream = Stream(Plain(), wait=wait, room=lambda: 1000, clock=clock, utc=clock)  # type: ignore[arg-type]
     with pytest.raises(InstrumentError, match="the other end has closed the connection"):
         list(stream.deliveries())
+
+
+def test_a_stop_is_heard_though_it_comes_while_a_recovery_waits_for_room() -> None:
+    clock = SteppedClock()
+    bench = Bench(Meter(Slope(), clock, MeterProperties(noise=False)), clock, [Fault("close", 5.0)])
+    opened: list[SimulatedLink] = []
+    told_ns: list[int] = []
+
+    def open_line() -> SimulatedLink:
+        opened.append(SimulatedLink(bench, clock))
+        return opened[-1]
+
+    def is_full() -> bool:
+        return len(opened) > 1 and not told_ns
+
+    meter = open_instrument("SIM", Options(), clock, open_line)
+    stopped_ns, give_up_ns = clock() + 4_000_000_000, clock() + 60_000_000_000
+
+    def wait(seconds: float) -> bool:
+        before_ns = clock()
+        clock.sleep(seconds)
+        if before_ns < stopped_ns <= clock():
+            SimulatedLink(bench, clock).query("ABOR;*OPC?")  # what waits can still be read, after the line is back
+        assert clock() < give_up_ns, "it goes on although it was told to stop"
+        if is_full():
+            told_ns.append(clock())
+            return True
+        return False
+
+    stream = Stream(meter, wait=wait, room=lambda: 0 if is_full() else 1000, clock=clock, utc=clock)
+    list(stream.deliveries())
+
+    assert told_ns

@@ -79,3 +79,13 @@ def test_a_journal_that_goes_on_is_another_of_ours_though_the_count_grows(
 
     with pytest.raises(BusyError):
         refuse_busy(line, Others(clock, lambda: line.query_block(f"STAT:OPER:ENAB {next(entries)};:R? 1", 8)))
+
+
+def test_one_of_ours_whose_readings_are_rare_is_known_by_its_questions(
+    line: SimulatedLink, clock: SteppedClock
+) -> None:
+    begin(line, 100.0)
+    numbers = iter(range(1, 100))
+
+    with pytest.raises(BusyError):
+        refuse_busy(line, Others(clock, lambda: line.query(f"STAT:QUES:ENAB {next(numbers)};:DATA:POIN?")))

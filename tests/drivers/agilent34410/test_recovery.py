@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
+from aemd.acquire.instrument import BusyError
 from aemd.errors import InstrumentError
 from agilent34410 import Options
 from agilent34410.meter import Meter as Driven
@@ -160,3 +161,39 @@ def test_a_stranger_at_the_old_address_is_asked_who_it_is_and_nothing_more(drive
         driven.recover()
 
     assert Line.said == ["*IDN?"]
+
+
+def test_a_meter_that_another_of_ours_took_over_is_left_to_it_until_it_reads_no_more(
+    driven: Driven, clock: SteppedClock, open_line: Callable[[], Line]
+) -> None:
+    other = open_instrument("SIM", OPTIONS, clock, open_line, clock.sleep)  # we were asleep, say
+    other.start()
+    clock.sleep(2.5 * INTERVAL_S)
+    with pytest.raises(InstrumentError, match="another program"):
+        driven.drain(10)
+
+    def sleep_while_it_reads(seconds: float) -> None:
+        clock.sleep(seconds)
+        other.drain(10)
+
+    driven._sleep = sleep_while_it_reads
+    for _ in range(2):
+        with pytest.raises(BusyError):
+            driven.recover()
+    driven._sleep = clock.sleep
+    recovery = driven.recover()
+
+    assert not recovery.sampling
+    assert not recovery.settings_kept
+    driven.start()
+    clock.sleep(2.5 * INTERVAL_S)
+    assert driven.drain(10).values_V.size == 3  # the first at once
+
+
+def test_a_journal_begun_by_an_answer_that_was_lost_is_known_as_ours(driven: Driven) -> None:
+    Line.loses = "STAT:OPER:ENAB"
+    with pytest.raises(InstrumentError):
+        driven.start()
+    driven.recover()
+
+    assert not driven._dialogue.is_anothers
