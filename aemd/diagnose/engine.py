@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
-from math import exp, inf, isfinite, log
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,10 @@ from numpy.typing import NDArray
 
 from aemd.diagnose.catalogue import COVERED, NOT_COVERED, experiment_for
 from aemd.diagnose.checks.integrity import check_raw
+from aemd.diagnose.checks.local import best_hump
 from aemd.diagnose.checks.residuals import check_all
-from aemd.diagnose.evidence import Defect, Evidence, two_sided
+from aemd.diagnose.evidence import Defect, Evidence
+from aemd.diagnose.figures import compare_figures, remark_on, rival_figures
 from aemd.diagnose.fit import Fit, fit_base, refit, residuals, restart_base
 from aemd.diagnose.gain import SLOW, HeldOut, block_of, measure_gain
 from aemd.diagnose.given import BOUNDED, Given, accept
@@ -29,7 +30,7 @@ from aemd.diagnose.naming import Named, name
 from aemd.diagnose.result import Diagnosis, Discrepancy, Finding, Gain, Verdict
 from aemd.diagnose.series import Series, load_series
 from aemd.diagnose.steadiness import compare_allan
-from aemd.diagnose.terms.stated import OtherFigures, other_figures
+from aemd.diagnose.terms.stated import OtherFigures
 from aemd.diagnose.translate import as_tables, to_model
 from aemd.simulate import read_model
 
@@ -42,13 +43,30 @@ _LEVEL = 0.003
 """Family-wise probability of any finding on a clean record, first round."""
 _MOST_FINDINGS = 6
 """After so many terms the search stops and says so; on a record that has more, the first are worth the most by far."""
-_HEAVIEST = 15.0
-"""Times the base's cost of a step of the fit, (states + 1)^2 free numbers, from which no term is added any more: each
-resonance brings two states and three numbers. A bound on work and not on time, so that an answer does not depend on
-what else the machine does."""
+_HEAVIEST = 8.0
+_LIGHT = 4e6
+"""Times the base's cost of a step of the fit, (states + 1)^2 free numbers, from which no term is added any more, unless
+the step costs less than so many over all readings: each resonance brings two states and three numbers. A bound on work
+and not on time, so that an answer does not depend on what else the machine does."""
 _LEAST_NATS = 4.0
 """Log-likelihood that a term must add to be called an explanation: what a check sees and no term can use is
 `unexplained`."""
+_BROAD = (
+    "resonance",
+    "flicker_noise",
+    "random_walk",
+    "smoothing",
+    "extra_gauss_markov",
+    "popcorn_noise",
+    "changing_noise",
+    "nonlinearity",
+    "shock_law",
+    "ring_down",
+    "warmup_drift",
+)
+"""Mechanisms that many a shape passes for."""
+_HUMPED = ("nonlinearity", "popcorn_noise", "shock_law", "ring_down")
+"""What one hump of the mean passes for: beside these it is fitted as well."""
 _OTHER_FIGURES = "state these figures and diagnose again; then ask what has changed since the old ones were measured"
 
 
@@ -107,8 +125,10 @@ def criticise(
             break
         tell(f"fitting what could explain: {left[0].check}")
         candidates: list[Term] = [term for item in left for term in item.terms]
+        hump = best_hump(fit) if any(term.cause in _HUMPED for term in candidates) else None
+        candidates += [hump] if hump else []
         if stated is not None:
-            candidates += _other_figures(fit)
+            candidates += rival_figures(fit)
         found = name(fit, candidates, _LEAST_NATS)
         if found is None:
             break
@@ -128,6 +148,8 @@ def criticise(
         spread = covariance(fit)
     if left:
         findings.append(_unexplained(left, fit, stopped))
+    if any(item.cause == "unexplained" and not item.remark for item in findings) and not stopped:
+        findings = [_less_sure(item) for item in findings]
     open_ends = any(item.cause == "unexplained" for item in findings)
     verdict: Verdict = "unexplained" if open_ends else "explained" if findings else "nothing_found"
     return Diagnosis(
@@ -138,7 +160,7 @@ def criticise(
         discrepancies=tuple(
             [Discrepancy(d.check, d.observed, 0.0, d.expected, d.p_value) for d in defects]
             + [Discrepancy(e.check, e.observed, e.low, e.high, e.p_value) for e in seen]
-            + [item for number in range(len(fit.terms)) for item in _stated_figures(fit, number, spread)]
+            + [item for number in range(len(fit.terms)) for item in compare_figures(fit, number, spread)]
         ),
         base_model=_tables(base, series.aperture_s, spread if base is fit else covariance(base)),
         extended_model=_tables(fit, series.aperture_s, spread),
@@ -155,40 +177,6 @@ def _begin(data: Data, series: Series, stated: tuple[Given, frozenset[str]] | No
     if stated is None:
         return fit_base(data)
     return residuals([replace(stated[0], aperture_s=series.aperture_s)], np.empty(0), data)
-
-
-def _other_figures(fit: Fit) -> list[Term]:
-    """Return the parts of a stated model whose own figures could be what is wrong."""
-    given = fit.terms[0]
-    assert isinstance(given, Given)  # noqa: S101 - what is stated is never fitted
-    changed = {term.number for term in fit.terms if isinstance(term, OtherFigures)}
-    return [term for term in other_figures(given, fit.data.n) if term.number not in changed]
-
-
-def _remark(term: Term) -> str:
-    """Return what is to be said of the figures of a stated model."""
-    return f"The {term.what} has other figures than the stated model has" if isinstance(term, OtherFigures) else ""
-
-
-def _stated_figures(fit: Fit, number: int, spread: Floats) -> list[Discrepancy]:
-    """Return each refitted figure of a stated model beside where fits to simulations of what is stated would lie."""
-    term = fit.terms[number]
-    if not isinstance(term, OtherFigures):
-        return []
-    made = []
-    fitted = describe(fit, number, spread)
-    for parameter in term.parameters(fit.data):
-        stated, value = parameter.value(term.start), fitted[parameter.name]
-        if parameter.positive:
-            reach = log(value.high / value.value) if isfinite(value.high) else inf
-            low, high, away = stated * exp(-reach), stated * exp(reach), abs(log(value.value / stated))
-        else:
-            reach = value.high - value.value
-            low, high, away = stated - reach, stated + reach, abs(value.value - stated)
-        p_value = two_sided(1.96 * away / reach) if reach > 0 else 0.0
-        what = f"{term.what} of the stated model: {parameter.name}, fitted"
-        made.append(Discrepancy(what, value.value, low, high, p_value))
-    return made
 
 
 def _tables(fit: Fit, aperture_s: float, spread: Floats) -> dict[str, Any]:
@@ -298,7 +286,7 @@ def _explained(
                 experiment=_OTHER_FIGURES
                 if isinstance(found.term, OtherFigures)
                 else experiment_for(found.names[0], getattr(found.term, "witness", "")),
-                remark=_remark(found.term),
+                remark=remark_on(found.term),
             )
         )
     return findings
@@ -314,7 +302,7 @@ def _judge(finding: Finding, found: Named) -> tuple[Finding, bool]:
     """
     if finding.remark:  # its figures are wrong as stated, whatever predicts better
         return finding, True
-    gain, name = finding.gain, finding.cause
+    gain, name = finding.gain, found.names[0].replace("_", " ")
     lag = finding.parameters.get("lag_s")
     if gain.nats_total <= 0:
         why = f"which fits but does not predict held-out blocks ({gain.nats_total:+.1f} nats)"
@@ -327,6 +315,13 @@ def _judge(finding: Finding, found: Named) -> tuple[Finding, bool]:
     nothing = Gain(0.0, 0.0, 0.0, 0.0)
     out = replace(finding, parameters={}, gain=nothing, rms_after=finding.rms_before)
     return _nameless(out, f"looks most like {name}, {why}; record for longer"), False
+
+
+def _less_sure(finding: Finding) -> Finding:
+    """Return a finding beside which something stays unexplained: what has no sharp mark may be part of it."""
+    if finding.cause not in _BROAD or "unexplained" in finding.names:
+        return finding
+    return replace(finding, names=(*finding.names, "unexplained"), probability=finding.probability / 2)
 
 
 def _ids(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -342,7 +337,7 @@ def _stop(fit: Fit, base: Fit, found: int) -> str:
     """Return why no further term is sought, in words; empty where one is."""
     if found >= _MOST_FINDINGS:
         return f"the search stops after {found} findings"
-    if _weight(fit) > _HEAVIEST * _weight(base):
+    if _weight(fit) > max(_HEAVIEST * _weight(base), _LIGHT / fit.data.n):
         return (
             f"the search stops after {found} findings, as the model has grown too large to be fitted in reasonable time"
         )

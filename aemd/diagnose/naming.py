@@ -18,9 +18,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from aemd.diagnose.climb import Climb, race
+from aemd.diagnose.evidence import exceedance_of_peaks
 from aemd.diagnose.fit import Fit, begin_with, residuals, steps_for
 from aemd.diagnose.hypothesis import Term
-from aemd.diagnose.terms.noise import Resonance
+from aemd.diagnose.terms.events import Popcorn
+from aemd.diagnose.terms.lines import Sines, WanderingLine, fold
+from aemd.diagnose.terms.noise import ChangingNoise, Resonance
 
 __all__ = ["Named", "acts_throughout", "name"]
 
@@ -36,6 +39,12 @@ _EVEN = ("mains_alias", "periodic_interference", "wandering_line", "resonance", 
 _LINKED = ("nonlinearity", "signal_dependent_noise", "smoothing")
 """Mechanisms that act as much as the input moves, which may be uneven."""
 _MOST_IN_ONE = 0.7
+_CROWDED = ("nonlinearity", "signal_dependent_noise", "smoothing", "ring_down", "shock_law")
+_MOST_IN_A_STRETCH = 0.5
+_LEAST_TURNS = 3.0
+"""Of what is said to come again, in a record."""
+_LEAST_TO_COLOUR = 20
+"""Readings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +78,16 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
         for term in {repr(term): term for term in candidates}.values()  # checks that fail together nominate the same
         for start in begin_with(fit, term)
     ]
+    ended = race(starts, steps_for(fit.data))
+    if isinstance(ended[0].terms[-1], WanderingLine):  # a line that stands still gets the winner's base to begin with
+        beside = ended[0].theta[: fit.theta.size]
+        still = [
+            Climb([*fit.terms, term], np.concatenate((beside, term.start)), fit.data, term.cost_nats)
+            for term in {repr(term): term for term in candidates if isinstance(term, Sines)}.values()
+        ]
+        ended = sorted([*ended, *(race(still, steps_for(fit.data)) if still else [])], key=lambda one: -one.worth)
     fitted: dict[str, Climb] = {}
-    for one in race(starts, steps_for(fit.data)):
+    for one in ended:
         fitted.setdefault(one.terms[-1].cause, one)
     ranked = list(fitted.values())
     best = ranked[0]
@@ -88,11 +105,48 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
     refused = ""
     if best.terms[-1].cause == "unexplained":
         refused = "which explains less than what is not in the catalogue does"
-        nearest = next((rival.terms[-1].cause for rival in ranked if rival.terms[-1].cause != "unexplained"), "")
-        names = [nearest] if nearest else ["nothing of the catalogue"]
-    elif not acts_throughout(fit, winner):
-        refused = "which would act all the time, and this does not"
+        causes = [rival.terms[-1].cause for rival in ranked] + [term.cause for term in candidates]
+        names = [next((cause for cause in causes if cause != "unexplained"), "nothing of the catalogue")]
+    else:
+        refused = _does_not_fit(fit, winner)
     return Named(winner, best.terms[-1], tuple(names), weights[0] / sum(weights), gain, refused)
+
+
+def _does_not_fit(before: Fit, after: Fit) -> str:
+    """Return what the last term's mechanism would do and the readings do not, in words; empty where there is nothing.
+
+    The best of the catalogue is held against what only it would do: go on, come back, be white.
+    """
+    term, theta, span_s = after.terms[-1], after.parts_of(len(after.terms) - 1), after.data.span_s
+    if not acts_throughout(before, after):
+        return "which would act all the time, and this does not"
+    if term.cause in _CROWDED and _share_of_the_best_stretch(before, after) > _MOST_IN_A_STRETCH:
+        return "which would show wherever the readings move, and this shows in one place"
+    if isinstance(term, Sines):
+        turns = fold(term.harmonics[0] * (term.frequency_hz + theta[0] / span_s), 1 / after.data.interval_s) * span_s
+        if turns < _LEAST_TURNS:
+            return "which would come again and again, and the record holds less than three turns of it"
+    if isinstance(term, Popcorn) and span_s / (exp(theta[1]) + exp(theta[2])) < _LEAST_TURNS:
+        return "which would jump again and again, and the record holds less than three visits"
+    if isinstance(term, ChangingNoise) and _coloured(after, term):
+        return "which would be white, and this is not"
+    return ""
+
+
+def _share_of_the_best_stretch(before: Fit, after: Fit) -> float:
+    """Return the share of a gain that comes from the stretch of a twentieth of the record where it is largest."""
+    gained = np.array([part.sum() for part in np.array_split((after.each - before.each)[after.data.used], 40)])
+    return float((gained[1:] + gained[:-1]).max() / max(float(gained.sum()), 1e-9))
+
+
+def _coloured(fit: Fit, term: ChangingNoise) -> bool:
+    """Return whether a line stands out of the residuals while the noise is another, where it should be white."""
+    inside = fit.data.used & (fit.data.t_s >= term.begin_s) & (fit.data.t_s < term.end_s)
+    z = fit.z[inside]
+    if z.size < _LEAST_TO_COLOUR:
+        return False
+    power = np.abs(np.fft.rfft(z - z.mean())) ** 2 / max(float(np.sum((z - z.mean()) ** 2)), 1e-300)
+    return exceedance_of_peaks(float(power[1:-1].max()), z.size / 2) < _ONCE
 
 
 def acts_throughout(before: Fit, after: Fit) -> bool:

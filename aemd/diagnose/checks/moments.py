@@ -12,7 +12,7 @@ from aemd.diagnose.evidence import Evidence, two_sided, weighted_chi2_tail
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.hypothesis import Term
 from aemd.diagnose.terms.lines import amplitude_cost
-from aemd.diagnose.terms.noise import ChangingNoise, HeavyTails, SignalDependentNoise
+from aemd.diagnose.terms.noise import ChangingNoise, HeavyTails, SignalDependentNoise, SwellingNoise
 from aemd.diagnose.terms.shapes import Nonlinearity
 from aemd.diagnose.terms.witnessed import SupplyCoupling
 
@@ -86,6 +86,7 @@ def _changing_noise(fit: Fit) -> Outcome:
         return [
             ChangingNoise(*window, sqrt(wanted), cost),
             ChangingNoise(*window, sqrt(max(inside / outside, 0.05)), cost, everything=True),
+            SwellingNoise((window[0] + window[1]) / 2, (window[1] - window[0]) / 3, sqrt(wanted), cost),
         ]
 
     evidence = Evidence(

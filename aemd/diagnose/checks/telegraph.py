@@ -22,8 +22,10 @@ _SIZES = (2.0, 4.0, 7.0)
 _STAYS = (30.0, 100.0, 300.0)
 """Readings."""
 _FREEDOM = 9
-"""Degrees of chi-square for twice the gain: step and two stays, and twice as many again for the places they were
-sought at. On clean records the gain seldom exceeds 3 nats; of 40 short ones that shocks dwarf, one had 13."""
+"""Degrees of chi-square by which twice the gain is judged. Not derived: step and two stays are three numbers, but they
+are sought from a grid of starts on a likelihood with several tops, whose law is not known. Nine is an empirical
+calibration on clean records of our own making: their gain seldom exceeds 3 nats, and of 40 short ones that shocks
+dwarf, one had 13, which is 2e-4 with six degrees and 2e-3 with nine. Further out than that it has not been tried."""
 _LONG = 20_000
 """Readings that are judged; of a longer record the first so many, and those only beside the base alone."""
 _KEPT_OUT = 0.02

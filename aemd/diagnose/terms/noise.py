@@ -21,6 +21,7 @@ __all__ = [
     "Resonance",
     "SignalDependentNoise",
     "Smoothing",
+    "SwellingNoise",
     "flicker_processes",
 ]
 
@@ -279,6 +280,45 @@ class ChangingNoise:
         return [
             Parameter("time_s", "s", lambda _: self.begin_s),
             Parameter("dwell_s", "s", lambda _: self.end_s - self.begin_s),
+            Parameter("ratio", "", lambda v: exp(v[0])),
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class SwellingNoise:
+    """White noise whose deviation swells or fades along a bell, and never jumps; no mechanism of the catalogue.
+
+    Free numbers: log ratio at the top, its place in widths, and the logarithm of its width. As many as a noise that
+    changes has, so where this explains more, the noise does not change at two instants.
+    """
+
+    centre_s: float
+    width_s: float
+    ratio: float
+    cost_nats: float
+    cause: str = "unexplained"
+
+    @property
+    def start(self) -> Floats:
+        """Free numbers to begin with."""
+        return np.array([log(self.ratio), 0.0, 0.0])
+
+    @property
+    def bounds(self) -> Sequence[Bounds]:
+        """Of the ratio; some widths aside; a factor of 10 in width."""
+        return [(log(1e-3), log(1e3)), (-3.0, 3.0), (-2.3, 2.3)]
+
+    def add(self, theta: Floats, data: Data, parts: Parts) -> None:
+        """Scale the white noise along the bell."""
+        apart = (data.t_s - self.centre_s) / self.width_s - theta[1]
+        bell = np.exp(-0.5 * (apart / exp(theta[2])) ** 2)
+        parts.noise_var = parts.noise_var * np.exp(2 * theta[0] * bell)
+
+    def parameters(self, data: Data) -> Sequence[Parameter]:  # noqa: ARG002 - a Term's
+        """Return when it is at its top, how wide it is, and the ratio of deviations there."""
+        return [
+            Parameter("time_s", "s", lambda v: self.centre_s + v[1] * self.width_s, positive=False),
+            Parameter("dwell_s", "s", lambda v: self.width_s * exp(v[2])),
             Parameter("ratio", "", lambda v: exp(v[0])),
         ]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts
 
-__all__ = ["Nonlinearity", "ReadingPattern", "Step", "WarmUp"]
+__all__ = ["Hump", "Nonlinearity", "ReadingPattern", "Step", "WarmUp"]
 
 Floats = NDArray[np.float64]
 
@@ -45,6 +45,43 @@ class Step:
         return [
             Parameter("time_s", "s", lambda _: self.time_s - half),
             Parameter("step_V", "V", lambda v: v[0] * unit, positive=False),
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class Hump:
+    """A bell in the mean, once; no mechanism of the catalogue, so where it explains more, a name is refused.
+
+    Free numbers: its place in widths, the logarithm of its width, its height.
+    """
+
+    centre_s: float
+    width_s: float
+    size: float
+    cost_nats: float
+    cause: str = "unexplained"
+
+    @property
+    def start(self) -> Floats:
+        """Free numbers to begin with."""
+        return np.array([0.0, 0.0, self.size])
+
+    @property
+    def bounds(self) -> Sequence[Bounds]:
+        """Some widths aside, a factor of 5 in width."""
+        return [(-3.0, 3.0), (-1.6, 1.6), _FREE]
+
+    def add(self, theta: Floats, data: Data, parts: Parts) -> None:
+        """Add the bell to the mean."""
+        apart = ((data.t_s - self.centre_s) / self.width_s - theta[0]) / exp(theta[1])
+        parts.mean += theta[2] * np.exp(-0.5 * apart**2)
+
+    def parameters(self, data: Data) -> Sequence[Parameter]:
+        """Return when it is at its top, how wide it is, and its height."""
+        return [
+            Parameter("time_s", "s", lambda v: self.centre_s + v[0] * self.width_s, positive=False),
+            Parameter("dwell_s", "s", lambda v: self.width_s * exp(v[1])),
+            Parameter("amplitude_V", "V", lambda v: v[2] * data.unit_V, positive=False),
         ]
 
 
