@@ -185,10 +185,11 @@ class Stream:
     def _refuse_silence(self, drain: Drain) -> None:
         """Raise where the instrument answers and yet takes no readings, rather than wait for ever."""
         patience_s = max(PATIENCE_S, PATIENCE_INTERVALS * self._instrument.interval_s)
-        if drain.answered_ns - self._newest_ns > patience_s * 1e9:
+        # Not until the answer, between which and its question this process may have been put to sleep.
+        if drain.asked_ns - self._newest_ns > patience_s * 1e9:
             raise _SilentError(
                 f"the instrument has taken no reading for {patience_s:.3g} s, at an interval of"
-                f" {self._instrument.interval_s:g} s; look at its display, and start again"
+                f" {self._instrument.interval_s:g} s; look at its display"
             )
 
     def _utc_news(self, now_ns: int) -> tuple[Event, ...]:
@@ -226,14 +227,16 @@ class Stream:
         self.outages += 1
         self._is_probing = True
         began_ns = self._clock()
+        was_busy = False
         yield self._told("link", f"{'silent' if is_silent else 'lost'}: {error}")
         pause_s = 0.0
         while not (self._told_to_stop or self._wait(pause_s)):
             self.turns += 1
             try:
-                yield from self._resume(instrument, began_ns, afresh=is_silent)
+                yield from self._resume(instrument, began_ns, afresh=is_silent, was_busy=was_busy)
             except InstrumentError as latest:
-                if isinstance(latest, BusyError) and not isinstance(error, BusyError):
+                if isinstance(latest, BusyError) and not was_busy:
+                    was_busy = True
                     yield self._told("link", f"lost: {latest}")
                 error = latest
             else:
@@ -245,7 +248,7 @@ class Stream:
             pause_s = min(max(2 * pause_s, SHORTEST_PAUSE_S), LONGEST_PAUSE_S)
         self._told_to_stop = self._is_lost = True
 
-    def _resume(self, instrument: Recoverable, began_ns: int, *, afresh: bool) -> Iterator[Delivery]:
+    def _resume(self, instrument: Recoverable, began_ns: int, *, afresh: bool, was_busy: bool) -> Iterator[Delivery]:
         """Make one attempt to go on where the link was lost.
 
         Raises:
@@ -257,7 +260,9 @@ class Stream:
         if torn:
             yield self._delivery(torn)
         why = "the instrument had lost its settings"
-        if afresh or recovery.settings_kept:
+        if was_busy:
+            why = "another program had taken the instrument over"
+        elif afresh or recovery.settings_kept:
             why = "the instrument had stopped"
         is_going = recovery.sampling
         if not is_going and not self._half_started:

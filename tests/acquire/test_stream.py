@@ -220,3 +220,30 @@ def test_a_stop_is_heard_though_it_comes_while_a_recovery_waits_for_room() -> No
     list(stream.deliveries())
 
     assert told_ns
+
+
+def test_a_process_that_was_put_to_sleep_between_question_and_answer_does_not_take_the_meter_for_silent() -> None:
+    clock = SteppedClock()
+    bench = Bench(Meter(Slope(), clock, MeterProperties(noise=False, truth_readings=10_000)), clock)
+    asleep_ns, end_ns = clock() + 10_000_000_000, clock() + 40_000_000_000
+    slept: list[int] = []
+
+    class Line(SimulatedLink):
+        def query(self, command: str) -> str:
+            answer = super().query(command)
+            if "DATA:POIN?" in command and answer.split(";")[1] == "+0" and clock() > asleep_ns and not slept:
+                slept.append(clock())
+                clock.sleep(20.0)
+            return answer
+
+    def wait(seconds: float) -> bool:
+        clock.sleep(seconds)
+        return clock() > end_ns
+
+    meter = open_instrument("SIM", Options(), clock, lambda: Line(bench, clock))
+    stream = Stream(meter, wait=wait, room=lambda: 1000, clock=clock, utc=clock)
+    index = np.concatenate([delivery.block["index"] for delivery in stream.deliveries()])
+
+    assert slept
+    assert stream.outages == 0
+    assert index.tolist() == list(range(bench.truth.size))
