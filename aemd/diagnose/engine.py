@@ -165,6 +165,7 @@ def criticise(
         base_model=_tables(base, series.aperture_s, spread if base is fit else covariance(base)),
         extended_model=_tables(fit, series.aperture_s, spread),
         allan=compare_allan(base, fit),
+        left_out=series.left_out,
         path=series.path,
         seconds=time.perf_counter() - begun,
         covered=COVERED,

@@ -1,9 +1,9 @@
 """A diagnosis as text for a terminal: the verdict, then two lines a finding."""
 
 import re
-from math import isfinite, log, log10
+from math import ceil, isfinite, log, log10
 
-from aemd.diagnose.result import Diagnosis, Finding, Value
+from aemd.diagnose.result import Diagnosis, Finding, Gain, Value
 
 __all__ = ["format_diagnosis", "format_finding"]
 
@@ -12,6 +12,8 @@ _TOLD_APART = 5.4
 """Nats between two names from which the likelier is right in 95 %: Phi(sqrt(D/2))."""
 _VISIBLE = 0.005
 """Relative change of a figure of three digits that shows."""
+_TIMES_A_FREQUENCY = 1e-3
+"""Of a harmonic's number, off a whole one: what is no further off was not folded."""
 _PREFIXES = {0: "", -3: "m", -6: "µ", -9: "n", -12: "p", 3: "k", 6: "M"}
 
 
@@ -20,13 +22,20 @@ def format_diagnosis(diagnosis: Diagnosis) -> str:
     lines = [_verdict(diagnosis), ""]
     for finding in diagnosis.findings:
         lines += [*_finding(finding), ""]
+    if any(finding.cause == "smoothing" for finding in diagnosis.findings):
+        lines.append("Sizes are those before the smoothing; the readings show less of what is fast.")
     if diagnosis.not_covered:
         lines.append(f"Not looked for: {', '.join(diagnosis.not_covered)}.")
     if any(finding.gain.nats_total for finding in diagnosis.findings):
         lines.append("Nats say how much more probable the readings become: 5 nats are odds of 150 to 1.")
+    if diagnosis.gain is not None and sum(finding.gain.nats_total != 0 for finding in diagnosis.findings) > 1:
+        lines.append(f"All that was found together is {_worth(diagnosis.gain)}.")
     if diagnosis.allan:
         lines.append(_steadiness(diagnosis))
-    lines.append(f"{diagnosis.n:,} readings at {diagnosis.rate_hz:.4g} /s, judged in {diagnosis.seconds:.1f} s.")
+    first = "The first " if diagnosis.left_out else ""
+    rest = f" The {diagnosis.left_out:,} readings behind them were not looked at." if diagnosis.left_out else ""
+    judged = f"{diagnosis.n:,} readings at {diagnosis.rate_hz:.4g} /s, judged in {diagnosis.seconds:.1f} s"
+    lines.append(f"{first}{judged}.{rest}")
     return "\n".join(lines) + "\n"
 
 
@@ -47,37 +56,60 @@ def _steadiness(diagnosis: Diagnosis) -> str:
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
-    count = len(diagnosis.findings)
+    named = sum(finding.cause != "unexplained" for finding in diagnosis.findings)
+    rest = len(diagnosis.findings) - named
+    known = f"{named} finding{'s' if named > 1 else ''}, {'each ' if named > 1 else ''}consistent with a mechanism"
     match diagnosis.verdict:
         case "nothing_found":
             return "Nothing found: the base model predicts these readings as well as it claims, as far as was looked."
         case "explained":
-            return f"{count} finding{'s' if count > 1 else ''}, each consistent with a mechanism of the catalogue."
+            return f"{known} of the catalogue."
+        case _ if named:
+            return f"{known} of the catalogue, and {rest} more that {'is' if rest == 1 else 'are'} not explained by it."
         case _:
-            return f"{count} finding{'s' if count > 1 else ''}, not all of them explained by the catalogue."
+            return f"{rest} finding{'s' if rest > 1 else ''}, not explained by the catalogue of mechanisms."
 
 
 def _finding(finding: Finding) -> tuple[str, str]:
     sizes = ", ".join(f"{_plain(name)} {_say(value)}" for name, value in finding.parameters.items())
+    then = finding.experiment
     if finding.cause == "unexplained":
         what = finding.remark or "Unexplained"
+        seen, _, after = then.rpartition("; ")
+        if seen and not finding.remark:
+            what, then = f"{what}: {seen}", after
     elif len(finding.names) == 1:
-        what = f"Consistent with {_plain(finding.cause)}"
+        what = f"Consistent with {_call(finding)}"
     else:
-        others = ", ".join(_plain(name) for name in finding.names[1:])
-        what = f"Consistent with {_plain(finding.cause)} ({finding.probability:.0%}), not told apart from {others}"
-        what += _longer(finding)
+        others = " or ".join("something unexplained" if n == "unexplained" else _plain(n) for n in finding.names[1:])
+        what = f"Consistent with {_call(finding)} ({finding.probability:.0%}), not told apart from {others}"
+        what += "" if "unexplained" in finding.names else _longer(finding)
     evidence = (
         "certain" if finding.p_value == 0 else f"p = {max(finding.p_value, 1e-300):.1g} over all places it was sought"
     )
-    gain = finding.gain
     worth = ""
-    if gain.nats_total:
+    if finding.gain.nats_total:
         worth = (
-            f"; worth {gain.nats_total:.0f} nats ({gain.low:.0f} to {gain.high:.0f}) on readings the fit never saw, "
+            f"; {_worth(finding.gain)}, "
             f"prediction error {_engineer(finding.rms_before, 'V')} -> {_engineer(finding.rms_after, 'V')} rms"
         )
-    return f"{what}: {sizes + '; ' if sizes else ''}{evidence}{worth}.", f"  Next: {finding.experiment}."
+    return f"{what}: {sizes + '; ' if sizes else ''}{evidence}{worth}.", f"  Next: {then}."
+
+
+def _worth(gain: Gain) -> str:
+    return (
+        f"worth {gain.nats_total:.0f} nats ({gain.low:.0f} to {gain.high:.0f}; {gain.nats_per_reading:.2g} a reading) "
+        "on readings the fit never saw"
+    )
+
+
+def _call(finding: Finding) -> str:
+    """Return the mechanism in words; hum of the mains that the sampling has not folded is no alias."""
+    if finding.cause == "mains_alias" and {"alias_hz", "mains_hz"} <= set(finding.parameters):
+        harmonic = finding.parameters["alias_hz"].value / finding.parameters["mains_hz"].value
+        if round(harmonic) > 0 and abs(harmonic - round(harmonic)) < _TIMES_A_FREQUENCY:
+            return f"hum of the mains at {round(harmonic)} times its frequency" if round(harmonic) > 1 else "mains hum"
+    return _plain(finding.cause)
 
 
 def _longer(finding: Finding) -> str:
@@ -91,26 +123,42 @@ def _longer(finding: Finding) -> str:
 def _plain(name: str) -> str:
     """Return a parameter's or mechanism's name in words, without its unit.
 
-    >>> _plain("coefficient_V_per_C"), _plain("step_V"), _plain("chirp_hz_per_s"), _plain("mains_alias")
-    ('coefficient', 'step', 'chirp', 'mains alias')
+    >>> _plain("coefficient_V_per_C"), _plain("chirp_hz_per_s"), _plain("mains_alias"), _plain("amplitude_2_V")
+    ('coefficient', 'chirp', 'mains alias', 'amplitude of harmonic 2')
     """
-    return re.sub(_UNIT, "", name).replace("_", " ")
+    words = re.sub(_UNIT, "", name).replace("_", " ")
+    words = "seen at" if words == "alias" else words
+    return re.sub(r"^amplitude (\d+)$", r"amplitude of harmonic \1", words)
 
 
 def _say(value: Value) -> str:
-    text = _engineer(value.value, value.unit)
-    if value.low == value.high or not (isfinite(value.low) and isfinite(value.high)):
-        return text
-    return f"{text} ({_engineer(value.low, value.unit)} to {_engineer(value.high, value.unit)})"
+    """Return a number with its interval, as many digits as that tells; an end that is open is said to be.
+
+    >>> _say(Value(62.2261, 55.5205, 69.7416, "")), _say(Value(62.2261, 62.2261, float("inf"), "s"))
+    ('62.23 (55.52 to 69.74)', '62.23 s (or more)')
+    """
+    here, low, high = value.value, value.low, value.high
+    open_below, open_above = low == 0 or not isfinite(low), not isfinite(high)
+    digits = 4
+    if not (open_below or open_above) and high > low:
+        digits = min(max(ceil(log10(max(abs(here), abs(low), abs(high)) / (high - low))) + 2, 3), 9)
+    text = _engineer(here, value.unit, digits)
+    if low == high or (open_below and open_above):
+        return text if low == high else f"{text} (of any size)"
+    if open_above:
+        return f"{text} (or more)" if low == here else f"{text} ({_engineer(low, value.unit, digits)} or more)"
+    if open_below:
+        return f"{text} (or less)" if high == here else f"{text} ({_engineer(high, value.unit, digits)} or less)"
+    return f"{text} ({_engineer(low, value.unit, digits)} to {_engineer(high, value.unit, digits)})"
 
 
-def _engineer(value: float, unit: str) -> str:
-    """Return a number with four digits and a prefix.
+def _engineer(value: float, unit: str, digits: int = 4) -> str:
+    """Return a number with so many digits, with a prefix where the unit takes one.
 
     >>> _engineer(0.00012346, "V")
     '123.5 µV'
     """
     if unit in ("", "s", "Hz", "C") or value == 0 or not isfinite(value):
-        return f"{value:.6g} {unit}".strip()
+        return f"{value:.{max(digits, 4)}g} {unit}".strip()
     power = max(min(int(log10(abs(value)) // 3) * 3, 6), -12)
-    return f"{value / 10.0**power:.4g} {_PREFIXES[power]}{unit}"
+    return f"{value / 10.0**power:.{digits}g} {_PREFIXES[power]}{unit}"

@@ -88,9 +88,13 @@ class Diagnosis:
     base_model: Mapping[str, Any]
     extended_model: Mapping[str, Any]
     seconds: float
+    gain: Gain | None = None
+    """Of the extended model over the base, all findings together; none where no term was added."""
     allan: tuple[Allan, ...] = ()
     """At 1, 10 and 100 s, as far as the record allows. Only what the findings predict can be taken off: a line, a step
     or a temperature's share can, additional noise cannot."""
+    left_out: int = 0
+    """Readings of the file behind the judged ones: of a very long record the beginning is judged."""
     path: str = ""
     """The file."""
     covered: tuple[str, ...] = field(default=())

@@ -7,24 +7,28 @@ scatter is then itself something to check), others as they are stamped.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aemd.block import NOT_A_VALUE, READING, Status
+from aemd.block import NOT_A_VALUE, READING, Batch, Status
 from aemd.errors import RecordingError
 from aemd.record.reader import Recording
+from aemd.record.source import readings_told
 from aemd.tables import import_csv
 
-__all__ = ["Series", "load_series"]
+__all__ = ["MOST_READINGS", "Series", "load_series"]
 
 Floats = NDArray[np.float64]
 
 _LEAST_READINGS = 100
 """Fewer do not tell the base model's parameters apart."""
+MOST_READINGS = 1_000_000
+"""19 hours at 15 readings/s: of a longer record the beginning is judged, and the report says so. Each fit goes through
+all readings some hundred times and holds several arrays of them, so time and memory would grow with the record."""
 _ON_GRID = 0.2
 """Intervals from a whole multiple that a step may be stamped off, and still be that multiple."""
 
@@ -55,6 +59,8 @@ class Series:
     """As the file says; else one cycle of 50 Hz, as a meter at NPLC 1 takes."""
     witnesses: Mapping[str, Floats] = field(default_factory=dict)
     """Further quantities, interpolated at the readings' times."""
+    left_out: int = 0
+    """Readings of the file behind these, which are the beginning of a very long record."""
 
     @property
     def used(self) -> NDArray[np.bool_]:
@@ -98,8 +104,12 @@ class Series:
         return np.asarray(np.cumsum(self.whole_steps) - 1)
 
 
-def load_series(path: Path) -> Series:
-    """Read a recording, or a table `time,value[,...]`.
+def load_series(path: Path, most: int = MOST_READINGS) -> Series:
+    """Read a recording, or a table `time,value[,...]`; of a very long one the beginning.
+
+    Args:
+        path: the file.
+        most: readings.
 
     Raises:
         RecordingError: the file cannot be read, or what it holds cannot be criticised.
@@ -110,16 +120,16 @@ def load_series(path: Path) -> Series:
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from error
     if is_mcap:
-        return _from_recording(path, path, numbered=True)
+        return _from_recording(path, path, most, numbered=True)
     with TemporaryDirectory() as folder:  # one reader of tables, with all its refusals
         made = Path(folder) / "table.mcap"
         import_csv(path, made)
-        return _from_recording(path, made, numbered=False)
+        return _from_recording(path, made, most, numbered=False)
 
 
-def _from_recording(path: Path, made: Path, *, numbered: bool) -> Series:
+def _from_recording(path: Path, made: Path, most: int, *, numbered: bool) -> Series:
     with Recording(made, allow_unfinished=True) as recording:
-        batches = list(recording.batches())
+        batches, left_out = _beginning(recording, most)
         nominal = recording.description.interval_s
         stated = recording.description.session.get("aperture_s", "") if numbered else ""
     blocks = [batch.readings for batch in batches if batch.readings.size]
@@ -167,7 +177,21 @@ def _from_recording(path: Path, made: Path, *, numbered: bool) -> Series:
         numbered=numbered,
         aperture_s=float(stated) if stated else 0.02,
         witnesses=witnesses,
+        left_out=left_out,
     )
+
+
+def _beginning(recording: Recording, most: int) -> tuple[list[Batch], int]:
+    """Return the batches up to so many readings, and how many readings the file holds behind them."""
+    batches, count = list[Batch](), 0
+    for batch in recording.batches():
+        batches.append(batch)
+        count += len(batch.readings)
+        if count > most:
+            batches[-1] = replace(batch, readings=batch.readings[: most - count])
+            told = readings_told(recording)  # without counting, where the file was closed in order
+            return batches, (recording.statistics().readings if told is None else told) - most
+    return batches, 0
 
 
 OVERLOAD = int(Status.OVERLOAD_HIGH | Status.OVERLOAD_LOW)
