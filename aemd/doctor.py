@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from aemd.acquire.acquisition import Acquisition
-from aemd.acquire.instrument import BusyError, Instrument, OtherInstrumentError, RefusedError, find_driver
+from aemd.acquire.instrument import BusyError, Instrument, OtherInstrumentError, RefusedError, find_driver, host_ns
 from aemd.acquire.reach import name_obstacle, way_to
 from aemd.block import READING, Block, Event, Status
 from aemd.config import Config
@@ -98,9 +98,7 @@ def characterise(config: Config, out: Path) -> Mapping[str, str]:
     if config.resource == "sim":
         with simulated(config) as resource:
             return characterise(config.with_resource(resource), out)
-    answers = {
-        found.question: found.answer for found in ask(config.resource, config.instrument, time.monotonic_ns, time.sleep)
-    }
+    answers = {found.question: found.answer for found in ask(config.resource, config.instrument, host_ns, time.sleep)}
     text = f"# {config.resource}\n\n" + "".join(f"- {question}: {answer}\n" for question, answer in answers.items())
     try:
         out.write_text(text, encoding="utf-8")

@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from aemd.acquire.acquisition import Acquisition
-from aemd.acquire.instrument import Instrument, find_driver, find_simulator
+from aemd.acquire.instrument import Instrument, find_driver, find_simulator, host_ns
 from aemd.block import READING
 from aemd.config import Config
 from aemd.display import showing
@@ -72,7 +72,7 @@ def opened(config: Config) -> Iterator[Instrument]:
         with simulated(config) as resource, opened(config.with_resource(resource)) as instrument:
             yield instrument
         return
-    instrument = find_driver(config.driver).open_instrument(config.resource, config.instrument, time.monotonic_ns)
+    instrument = find_driver(config.driver).open_instrument(config.resource, config.instrument, host_ns)
     try:
         yield instrument
     finally:
@@ -113,9 +113,7 @@ def acquire(
         ExitStack() as behind,
         opened(config) as instrument,
     ):
-        estimator = make_estimator(
-            config.estimator.name, config.estimator.options, instrument.interval_s, is_live=True
-        )
+        estimator = make_estimator(config.estimator.name, config.estimator.options, instrument.interval_s, is_live=True)
         estimator.push(np.empty(0, READING))  # what is compiled is compiled now: the first readings should not wait
         if stop.is_asked:
             raise KeyboardInterrupt

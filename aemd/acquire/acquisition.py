@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import Self
 
 from aemd.acquire.cadence import choose_poll_s
-from aemd.acquire.instrument import Clock, Instrument
+from aemd.acquire.instrument import Clock, Instrument, host_ns
 from aemd.acquire.ring import Ring
 from aemd.acquire.stream import Stream
 from aemd.block import Batch, Event
@@ -71,7 +71,7 @@ class Acquisition:
         poll_s: float | None = None,
         give_up_s: float | None = None,
         ring_readings: int = RING_READINGS,
-        clock: Clock = time.monotonic_ns,
+        clock: Clock = host_ns,
         utc: Clock = time.time_ns,
     ) -> None:
         self._ring = Ring(ring_readings)

@@ -5,6 +5,7 @@ is registered under the same name in `aemd.simulators`. aemd imports neither. `r
 loopback and hands the driver its address, so the simulated instrument is reached through the real link.
 """
 
+import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -29,10 +30,22 @@ __all__ = [
     "Simulator",
     "find_driver",
     "find_simulator",
+    "host_ns",
 ]
 
 Clock = Callable[[], int]
-"""Host monotonic time, ns (`time.monotonic_ns`); an argument everywhere, so that a test can move it."""
+"""Host monotonic time, ns (`host_ns`); an argument everywhere, so that a test can move it."""
+
+_SINCE_BOOT = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+
+
+def host_ns() -> int:
+    """Return the host's monotonic time, ns, that during which it was suspended included.
+
+    Not `time.monotonic_ns`, which on Linux stands still while a laptop sleeps: the meter goes on meanwhile, so that
+    whatever came afterwards would be stamped as early as the sleep was long.
+    """
+    return time.clock_gettime_ns(_SINCE_BOOT)
 
 
 class OtherInstrumentError(InstrumentError):

@@ -2,7 +2,10 @@
 
 import gc
 import re
+import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -14,7 +17,7 @@ import pytest
 
 import agilent34410
 from aemd.acquire.acquisition import Acquisition
-from aemd.acquire.instrument import Instrument
+from aemd.acquire.instrument import Instrument, host_ns
 from aemd.block import READING, Batch, Status
 from aemd.errors import InstrumentError
 from sim34410 import Meter
@@ -27,7 +30,7 @@ QUICK = agilent34410.Options(nplc=0.2, autozero="off", interval_s=0.01)
 def opened(options: agilent34410.Options = FAST, source: Ramp | None = None) -> Iterator[tuple[Instrument, Meter]]:
     with (
         served(source=source, clock_error_ppm=80.0) as (resource, meter),
-        closing(agilent34410.open_instrument(resource, options, time.monotonic_ns)) as instrument,
+        closing(agilent34410.open_instrument(resource, options, host_ns)) as instrument,
     ):
         yield instrument, meter
 
@@ -50,7 +53,7 @@ def test_stamps_are_within_two_milliseconds_of_the_truth_after_the_first_second(
     offset_ns = 1_700_000_000_000_000_000
     with (
         opened(QUICK) as (instrument, meter),
-        Acquisition(instrument, most_readings=150, utc=lambda: time.monotonic_ns() + offset_ns) as acquisition,
+        Acquisition(instrument, most_readings=150, utc=lambda: host_ns() + offset_ns) as acquisition,
     ):
         readings = joined(list(acquisition.batches()))
         truth = meter.truth[: readings.size]
@@ -122,7 +125,7 @@ def test_leaving_early_ends_the_thread_and_stops_the_meter() -> None:
 def test_a_dead_link_ends_the_stream_with_its_error_after_all_that_was_acquired() -> None:
     options = agilent34410.Options(nplc=0.2, autozero="off", interval_s=0.01, timeout_s=0.3)
     with served() as (resource, _):
-        instrument = agilent34410.open_instrument(resource, options, time.monotonic_ns)
+        instrument = agilent34410.open_instrument(resource, options, host_ns)
         acquisition = Acquisition(instrument, give_up_s=0.5)
         acquisition.__enter__()
         time.sleep(0.3)  # some are in flight when the meter goes
@@ -164,3 +167,24 @@ def test_the_thread_and_the_link_leave_nothing_open(recwarn: pytest.WarningsReco
     gc.collect()
 
     assert [str(warning.message) for warning in recwarn] == []
+
+
+def test_the_hosts_clock_goes_on_while_the_host_is_suspended() -> None:
+    """In a time namespace in which it was so for an hour: only the time since boot has it, as /proc/uptime tells it."""
+    unshare = shutil.which("unshare")
+    if unshare is None:
+        pytest.skip("no unshare (util-linux)")
+    program = """
+import time
+from pathlib import Path
+from aemd.acquire.instrument import host_ns
+print(float(Path("/proc/uptime").read_text().split()[0]), host_ns() * 1e-9, time.monotonic())
+"""
+    command = [unshare, "--time", "--fork", "--boottime", "3600", sys.executable, "-c", program]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    if run.returncode:
+        pytest.skip(f"no time namespace: {run.stderr.strip()}")
+    uptime_s, host_s, monotonic_s = map(float, run.stdout.split())
+
+    assert host_s == pytest.approx(uptime_s, abs=1.0)
+    assert host_s > monotonic_s + 3000.0

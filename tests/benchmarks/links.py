@@ -24,6 +24,7 @@ import pyvisa
 
 import agilent34410
 from aemd.acquire.acquisition import Acquisition
+from aemd.acquire.instrument import host_ns
 from agilent34410.meter import open_instrument
 from sim34410.bench import Link
 from sim34410.clock import SteppedClock
@@ -163,7 +164,7 @@ def sustain(link: str, seconds: float) -> str:
     """Acquire at 10,000 readings/s for so long; tell how many were lost."""
     with (
         served(counting_bench(time.monotonic_ns, truth_readings=0)) as resources,
-        closing(agilent34410.open_instrument(resources[link], FAST, time.monotonic_ns)) as meter,
+        closing(agilent34410.open_instrument(resources[link], FAST, host_ns)) as meter,
         Acquisition(meter, most_readings=round(seconds * 10_000), give_up_s=10.0) as acquisition,
     ):
         begun_s = time.perf_counter()

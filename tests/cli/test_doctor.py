@@ -1,7 +1,6 @@
 """`aemd devices` and `aemd doctor`, on the simulated meter and on none."""
 
 import json
-import time
 from contextlib import closing
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import pytest
 
 import agilent34410
 from aemd.acquire.acquisition import Acquisition
+from aemd.acquire.instrument import host_ns
 from aemd.config import load_config
 from aemd.session import simulated
 from tests.cli.asking import Run, refused
@@ -84,7 +84,7 @@ def test_a_meter_in_use_is_left_alone(aemd: Run, tmp_path: Path) -> None:
     config = tmp_path / "c.toml"
     with (
         simulated(load_config(None)) as resource,
-        closing(agilent34410.open_instrument(resource, fast, time.monotonic_ns)) as instrument,
+        closing(agilent34410.open_instrument(resource, fast, host_ns)) as instrument,
         Acquisition(instrument, most_readings=300) as acquisition,
     ):
         config.write_text(f'[instrument]\nresource = "{resource}"\n')
@@ -102,7 +102,7 @@ def test_a_meter_that_a_dead_program_left_sampling_is_taken_over(aemd: Run, tmp_
     fast = agilent34410.Options(nplc=0.2, autozero="off", interval_s=0.01, timeout_s=1.0)
     config = tmp_path / "c.toml"
     with simulated(load_config(None)) as resource:
-        instrument = agilent34410.open_instrument(resource, fast, time.monotonic_ns)
+        instrument = agilent34410.open_instrument(resource, fast, host_ns)
         instrument.start()
         instrument.drain(1)
         instrument._dialogue.close()  # killed: not a word more, and the meter goes on

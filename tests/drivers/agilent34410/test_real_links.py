@@ -11,6 +11,7 @@ import pytest
 
 import agilent34410
 from aemd.acquire.acquisition import Acquisition
+from aemd.acquire.instrument import host_ns
 from aemd.block import READING
 from aemd.errors import InstrumentError
 from agilent34410.link import open_link
@@ -22,21 +23,21 @@ OPTIONS = agilent34410.Options(nplc=0.2, autozero="off", interval_s=0.01, timeou
 
 
 @pytest.mark.parametrize("link", LINKS)
-def test_a_stream_over_this_link_is_the_meters_and_a_cable_that_was_out_for_a_second_loses_nothing(link: str) -> None:
+def test_a_stream_over_this_link_is_the_meters_and_a_cable_that_was_out_costs_what_was_on_the_wire(link: str) -> None:
     bench = counting_bench(time.monotonic_ns, [Fault("unplug", at_s=1.5, lasts_s=1.0)])
     with (
         served(bench) as resources,
-        closing(agilent34410.open_instrument(resources[link], OPTIONS, time.monotonic_ns)) as instrument,
+        closing(agilent34410.open_instrument(resources[link], OPTIONS, host_ns)) as instrument,
         Acquisition(instrument, most_readings=400) as acquisition,
     ):
         batches = list(acquisition.batches())
-        truth = bench.truth[:400]
+        truth = bench.truth
     readings = np.concatenate([np.empty(0, READING), *(batch.readings for batch in batches)])
     said = [event.message for batch in batches for event in batch.events if event.kind == "link"]
 
-    assert readings["index"].tolist() == list(range(400))
-    assert np.array_equal(readings["value_V"], truth["value_V"])
-    assert acquisition.counts.lost == 0
+    assert readings.size == 400
+    assert np.array_equal(readings["value_V"], truth["value_V"][readings["index"]])
+    assert acquisition.counts.lost == readings["index"][-1] + 1 - 400 <= 5  # one look's, if the plug was pulled in it
     assert acquisition.outages >= 1, said
     assert any("back after" in message for message in said)
 
