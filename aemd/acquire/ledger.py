@@ -23,7 +23,12 @@ CLOCK_FIRST_NS = 1_000_000_000  # the start-up's fast looks are over by then
 CLOCK_EVERY_NS = 600_000_000_000  # often enough to see the rate follow the room's temperature
 SLACK_READINGS = 2  # by which a count may differ from the clock's before readings have vanished
 SLACK_RATE = 1e-3  # and this fraction of those since the last look: beyond it no clock is wrong
-OVERLOAD = int(Status.OVERLOAD_HIGH | Status.OVERLOAD_LOW)
+SPELLS = {
+    "overload": (
+        int(Status.OVERLOAD_HIGH | Status.OVERLOAD_LOW), "input beyond the range", "input within the range again",
+    ),
+    "invalid": (int(Status.INVALID), "readings that are not a number", "readings are numbers again"),
+}  # fmt: skip
 
 
 class Ledger:
@@ -47,7 +52,7 @@ class Ledger:
         self._memory_readings = memory_readings
         self._overflowed = False
         self._late = False
-        self._overloaded = False
+        self._without_value = dict.fromkeys(SPELLS, False)
         self._ended: tuple[int, int] | None = None
         self._looked_ns = 0
         self._counted = 0
@@ -131,7 +136,7 @@ class Ledger:
         events = [Event(self._utc(drain.received_ns), "instrument", text) for look in looks for text in look.messages]
         if count:
             events += (
-                self._gap(block, lost, doubt, cause) + self._timing(block) + self._overload(block) + self._epoch(block)
+                self._gap(block, lost, doubt, cause) + self._timing(block) + self._spells(block) + self._epoch(block)
             )
             self.next_index = first_index + count
             self.lost += lost
@@ -196,17 +201,18 @@ class Ledger:
         block["status"] |= np.uint32(Status.TIMING)
         return [Event(int(block["t_ns"][0]), "timing", "the instrument could not keep its interval near here")]
 
-    def _overload(self, block: Block) -> list[Event]:
-        """Tell of the begin and the end of an overload; several within one block count as one."""
-        over = np.flatnonzero(block["status"] & OVERLOAD)
+    def _spells(self, block: Block) -> list[Event]:
+        """Tell of the begin and the end of readings without a value; several spells within one block count as one."""
         events = []
-        if over.size and not self._overloaded:
-            events.append(Event(int(block["t_ns"][over[0]]), "overload", "input beyond the range"))
-        if over.size or self._overloaded:
-            after = over[-1] + 1 if over.size else 0
-            self._overloaded = after == block.size
-            if not self._overloaded:
-                events.append(Event(int(block["t_ns"][after]), "overload", "input within the range again"))
+        for kind, (bits, begin, end) in SPELLS.items():
+            there = np.flatnonzero(block["status"] & bits)
+            if there.size and not self._without_value[kind]:
+                events.append(Event(int(block["t_ns"][there[0]]), kind, begin))
+            if there.size or self._without_value[kind]:
+                after = there[-1] + 1 if there.size else 0
+                self._without_value[kind] = after == block.size
+                if not self._without_value[kind]:
+                    events.append(Event(int(block["t_ns"][after]), kind, end))
         return events
 
     def _epoch(self, block: Block) -> list[Event]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from aemd.acquire.instrument import Clock
 from aemd.errors import InstrumentError
+from agilent34410.busy import refuse_busy
 from agilent34410.link import Link, open_link
 from agilent34410.models import MEMORY_READINGS
 from agilent34410.options import Options
@@ -45,7 +46,7 @@ def characterise(
         open_line: opens a line to it; None for pyvisa's.
 
     Raises:
-        InstrumentError: nobody answers, or it is another instrument.
+        InstrumentError: nobody answers, it is another instrument, or another program is reading it.
     """
     opener = open_line or (lambda: open_link(resource, options.timeout_s, options.serial_line))
     link = opener()
@@ -55,6 +56,7 @@ def characterise(
             raise InstrumentError(  # noqa: TRY301 - the link is closed in one place
                 f"{resource}: this is {identity!r}, not one of {', '.join(MEMORY_READINGS)}"
             )
+        refuse_busy(link, sleep)
     except InstrumentError:
         link.close()
         raise

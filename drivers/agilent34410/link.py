@@ -35,7 +35,7 @@ import pyvisa
 from pyvisa.constants import InterfaceType, StatusCode
 from pyvisa.errors import VisaIOError
 from pyvisa.resources import MessageBasedResource
-from pyvisa.rname import ResourceName
+from pyvisa.rname import InvalidResourceName, ResourceName
 
 from aemd.acquire.reach import name_obstacle
 from aemd.errors import InstrumentError
@@ -166,9 +166,9 @@ class _VisaLink:
         except Exception as error:
             _close_sockets_left_by(error)
             _manager.leave()
-            way_out = name_obstacle(resource) or (
-                "is it a VISA resource such as TCPIP0::192.168.1.5::5025::SOCKET, and is the instrument on?"
-            )
+            way_out = name_obstacle(resource) or "check that the instrument is on, the cable and the address"
+            if isinstance(error, InvalidResourceName):
+                way_out = "write it like TCPIP0::192.168.1.5::5025::SOCKET"
             raise InstrumentError(f"{resource}: cannot open: {_one_line(error)}; {way_out}") from error
         session = cast("MessageBasedResource", opened)
         self._session: MessageBasedResource | None = session

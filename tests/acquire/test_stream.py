@@ -247,3 +247,13 @@ def test_a_process_that_was_put_to_sleep_between_question_and_answer_does_not_ta
     assert slept
     assert stream.outages == 0
     assert index.tolist() == list(range(bench.truth.size))
+
+
+def test_readings_that_are_not_a_number_are_told_of_at_their_begin_and_their_end() -> None:
+    passed = pass_through([Fault("nan", 20.0, lasts_s=10.0)], 60.0)
+    without = (passed.readings["status"] & Status.INVALID) != 0
+    changes = np.flatnonzero(np.diff(without.astype(int), prepend=0))
+
+    assert np.count_nonzero(without) == pytest.approx(10.0 / Options().interval_s, abs=1)
+    told = [event.t_ns for event in passed.events if event.kind == "invalid"]
+    assert told == passed.readings["t_ns"][changes].tolist()

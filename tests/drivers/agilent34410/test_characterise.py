@@ -4,7 +4,9 @@ import re
 
 import pytest
 
+from aemd.acquire.instrument import BusyError
 from agilent34410 import Options, characterise
+from agilent34410.meter import open_instrument
 from sim34410 import Meter, MeterProperties
 from sim34410.bench import Bench, Link
 from sim34410.clock import SteppedClock
@@ -52,3 +54,18 @@ def test_no_question_stays_without_an_answer(by_socket: dict[str, str]) -> None:
     assert by_socket["R? on an empty memory"].startswith("a block of 0 bytes")
     before, after = map(int, re.findall(r"\d+", by_socket["whether ABOR keeps the memory"]))
     assert after >= before > 0
+
+
+def test_a_meter_that_another_program_reads_is_not_asked() -> None:
+    clock = SteppedClock()
+    bench = Bench(Meter(Slope(), clock, MeterProperties(noise=False)), clock)
+    other = open_instrument("SIM", Options(), clock, lambda: SimulatedLink(bench, clock))
+    other.start()
+
+    def sleep(seconds: float) -> None:
+        clock.sleep(seconds)
+        other.drain(100)
+
+    with pytest.raises(BusyError):
+        characterise("SIM", Options(), clock, sleep, lambda: SimulatedLink(bench, clock))
+    assert other.recover().sampling

@@ -13,6 +13,7 @@ from aemd.acquire.instrument import Driver, Instrument, find_driver
 from aemd.block import Status
 from aemd.errors import InstrumentError
 from agilent34410 import Options
+from agilent34410.meter import _decode as decode
 from tests.drivers.agilent34410.bench import FAST, HandClock, Ramp, served, stranger, unused_resource
 
 
@@ -173,6 +174,38 @@ def test_errors_in_the_meters_queue_are_brought_along_once_a_second() -> None:
 
         assert soon.messages == ()
         assert later.messages == ('-113,"Undefined header"',)
+
+
+def test_errors_that_an_earlier_program_left_are_told_of_though_the_set_up_clears_them() -> None:
+    clock = HandClock()
+    with served(clock) as (resource, meter):
+        meter.report(-113)
+        with closing(agilent34410.open_instrument(resource, Options(), clock)) as instrument:
+            instrument.start()
+
+            assert instrument.drain(1).messages == ('before it was set up: -113,"Undefined header"',)
+            assert instrument.drain(1).messages == ()
+
+
+@pytest.mark.parametrize(
+    ("sent", "status"),
+    [
+        (9.9e37, Status.OVERLOAD_HIGH),
+        (-9.9e37, Status.OVERLOAD_LOW),
+        (9.91e37, Status.INVALID),
+        (float("inf"), Status.INVALID),
+        (float("nan"), Status.INVALID),
+    ],
+)
+@pytest.mark.parametrize("precision", [np.float32, np.float64])
+def test_what_is_no_value_is_known_though_it_went_through_single_precision(
+    sent: float, status: Status, precision: type[np.floating[Any]]
+) -> None:
+    values_V, found = decode(np.array([1.0, precision(sent)], dtype=">f8").tobytes())
+
+    assert found.tolist() == [0, status]
+    assert values_V[0] == 1.0
+    assert np.isnan(values_V[1])
 
 
 def test_stopping_keeps_the_rest_in_the_memory_to_be_drained() -> None:
