@@ -227,16 +227,16 @@ class Stream:
         self.outages += 1
         self._is_probing = True
         began_ns = self._clock()
-        was_busy = False
+        told = {InstrumentError, type(error)}
         yield self._told("link", f"{'silent' if is_silent else 'lost'}: {error}")
         pause_s = 0.0
         while not (self._told_to_stop or self._wait(pause_s)):
             self.turns += 1
             try:
-                yield from self._resume(instrument, began_ns, afresh=is_silent, was_busy=was_busy)
+                yield from self._resume(instrument, began_ns, afresh=is_silent, was_busy=BusyError in told)
             except InstrumentError as latest:
-                if isinstance(latest, BusyError) and not was_busy:
-                    was_busy = True
+                if type(latest) not in told:  # another instrument, another program: somebody must see to it
+                    told.add(type(latest))
                     yield self._told("link", f"lost: {latest}")
                 error = latest
             else:

@@ -285,7 +285,7 @@ class Dialogue:
         self._link = new
         if identity != self._identity:
             new.close()
-            raise InstrumentError(f"{self.resource}: this is {_shown(identity)} now, not {self._identity!r}")
+            raise self._is_other(identity)
 
     def _read_journal(self) -> None:
         """Make sure of the step, and find out what became of the readings in doubt."""
@@ -294,7 +294,7 @@ class Dialogue:
         (entry,) = self._integers(entry_text, f"{_JOURNAL}?", 1)
         if identity != self._identity:
             self._in_step = False
-            raise InstrumentError(f"{self.resource}: this is {_shown(identity)} now, not {self._identity!r}")
+            raise self._is_other(identity)
         if self._in_doubt is not None:
             doubtful, count = self._in_doubt
             self._may_come[doubtful] = count
@@ -305,6 +305,13 @@ class Dialogue:
             self._entry = entry
         while len(self._may_come) > MOST_MAY_COME:
             self._may_come.pop(next(iter(self._may_come)))
+
+    def _is_other(self, identity: str) -> OtherInstrumentError:
+        return OtherInstrumentError(
+            f"{self.resource}: this is {_shown(identity)} now, not {self._identity!r}; a recording is of one meter:"
+            " connect that one again, or stop and start anew",
+            identity,
+        )
 
     def _integers(self, answer: str, question: str, count: int) -> list[int]:
         try:

@@ -257,3 +257,32 @@ def test_readings_that_are_not_a_number_are_told_of_at_their_begin_and_their_end
     assert np.count_nonzero(without) == pytest.approx(10.0 / Options().interval_s, abs=1)
     told = [event.t_ns for event in passed.events if event.kind == "invalid"]
     assert told == passed.readings["t_ns"][changes].tolist()
+
+
+def test_another_meter_at_the_address_is_told_of_once_and_the_own_one_is_waited_for() -> None:
+    clock = SteppedClock()
+    bench = Bench(Meter(Slope(), clock, MeterProperties(noise=False)), clock, [Fault("close", 10.0)])
+    other = Bench(
+        Meter(Slope(), clock, MeterProperties(identity="Agilent Technologies,34410A,MY1,2.35-2.35-0.09-46-09")), clock
+    )
+    begun_ns = clock()
+    meter = open_instrument(
+        "SIM",
+        Options(),
+        clock,
+        lambda: SimulatedLink(other if 10e9 < clock() - begun_ns < 40e9 else bench, clock),
+    )
+
+    def wait(seconds: float) -> bool:
+        clock.sleep(seconds)
+        return clock() - begun_ns > 60e9
+
+    stream = Stream(meter, wait=wait, room=lambda: 1 << 17, clock=clock, utc=clock)
+    said = [event.message for delivery in stream.deliveries() for event in delivery.events if event.kind == "link"]
+
+    assert len(said) == 3
+    assert "closed the connection" in said[0]
+    assert "MY1" in said[1]
+    assert "connect that one again" in said[1]
+    assert said[2].startswith("back")
+    assert stream.ledger.lost == 0
