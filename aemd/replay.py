@@ -146,7 +146,10 @@ def recording_to(out: Path | None, description: Description, choice: EstimatorCh
     except BaseException:
         recorder.discard()
         raise
-    recorder.close("end")
+    try:
+        recorder.close("end")
+    finally:
+        recorder.release()
 
 
 class _Comparison:

@@ -102,8 +102,16 @@ class Place:
         Raises:
             RecordingError: it cannot be written.
         """
-        with self.made() as path:
-            path.write_text(text, encoding="utf-8")
+        self.write_bytes(text.encode())
+
+    def write_bytes(self, octets: bytes) -> None:
+        """Write a small file in one step; see `write_text`.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+        with self.made() as path, self._or_refuse("written"):
+            path.write_bytes(octets)
 
     @contextmanager
     def fetched(self) -> Iterator[Path]:

@@ -8,6 +8,7 @@ and go in parallel. States are kept beside the results, so that what is added to
 import time
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from aemd.archive.manifest import Entry, Manifest
 from aemd.archive.places import Found, Place, find
 from aemd.archive.runs import find_runs
 from aemd.archive.state import digest
-from aemd.archive.work import Task, replay_file, workers
+from aemd.archive.work import NoRoomError, Task, is_full, replay_file, workers
 from aemd.config import load_estimator, name_estimator
 from aemd.display import counting
 from aemd.errors import AemdError, RecordingError
@@ -27,6 +28,7 @@ from aemd.record.source import Selection
 __all__ = ["ArchiveSummary", "replay_archive"]
 
 _STATES = "states"
+_MOST_RUNS = 4096  # under way at a time: more than a cluster has workers
 _SAVE_EVERY_S = 5.0  # the manifest: what a kill of this process may cost
 
 
@@ -75,7 +77,7 @@ def replay_archive(
     Raises:
         UsageError: no such file, estimator or scheme.
         ConfigError: the model file is wrong.
-        RecordingError: the folder of the results cannot be written, or its manifest is none.
+        RecordingError: the folder of the results cannot be written, or is full, or its manifest is none.
         InstrumentError: the scheduler does not answer.
     """
     begun = time.monotonic()
@@ -100,8 +102,16 @@ def replay_archive(
     manifest = Manifest.load(folder)
     manifest.begin(found.name for found in files)
     make = _Maker(folder, choice, estimator, asked, selection)
-    with counting("files", console) as bar, workers(jobs, scheduler) as executor:
-        done = _Loop(executor, manifest, make, bar, len(files)).go(runs)
+    try:
+        with counting("files", console) as bar, workers(jobs, scheduler) as executor:
+            most = 1 if jobs == 1 and scheduler is None else _MOST_RUNS
+            done = _Loop(executor, manifest, make, bar, len(files)).go(runs, most)
+    except BaseException:  # who interrupts it finds at the next run what was made until now
+        folder.tidy()  # first: what is half made may be what fills the disk
+        with suppress(RecordingError):
+            manifest.save()
+        folder.tidy()
+        raise
     manifest.end()
     folder.tidy()
     return ArchiveSummary(
@@ -165,15 +175,22 @@ class _Loop:
         self._saved_s = time.monotonic()
         self._under_way: dict[Future[tuple[Entry, bytes | None]], tuple[Task, list[Found]]] = {}
 
-    def go(self, runs: Sequence[Sequence[Found]]) -> _Done:
+    def go(self, runs: Sequence[Sequence[Found]], most: int) -> _Done:
+        """Replay all runs, so many at a time: what is done is noted before another one begins."""
         for run in runs:
             self._advance(list(run), None)
+            while len(self._under_way) >= most:
+                self._go_on()
         while self._under_way:
-            ended, _ = wait(self._under_way, return_when=FIRST_COMPLETED)
-            for future in ended:
-                task, rest = self._under_way.pop(future)
-                self._advance(rest, self._take(future, task))
+            self._go_on()
         return self._done
+
+    def _go_on(self) -> None:
+        """Wait for a file, and hand out the one behind it."""
+        ended, _ = wait(self._under_way, return_when=FIRST_COMPLETED)
+        for future in ended:
+            task, rest = self._under_way.pop(future)
+            self._advance(rest, self._take(future, task))
 
     def _advance(self, rest: list[Found], state: bytes | None) -> None:
         """Pass over the files whose results are there, and hand out the first one that is not."""
@@ -202,17 +219,25 @@ class _Loop:
             return
 
     def _take(self, future: "Future[tuple[Entry, bytes | None]]", task: Task) -> bytes | None:
-        """Note what became of a file; return the state that the next one begins with."""
+        """Note what became of a file; return the state that the next one begins with.
+
+        Raises:
+            NoRoomError: the disk is full.
+        """
         state = task.state
         try:
             entry, state = future.result()
             if state is not None:
-                with self._make.state_of(task.name).made() as path:
-                    path.write_bytes(state)
+                self._make.state_of(task.name).write_bytes(state)
             self._manifest.entries[task.name] = entry
             self._done.replayed += 1
             self._done.readings += entry.readings
         except AemdError as error:
+            if isinstance(error, NoRoomError) or is_full(error):
+                raise NoRoomError(
+                    f"{self._make.folder.url}: no space left; {self._done.replayed + self._done.unchanged} of "
+                    f"{self._total} files are there and whole; make room, and run it again: it goes on from there"
+                ) from error
             self._done.failed.append(str(error))
         except BrokenExecutor:
             self._done.failed.append(f"{task.source.url}: its worker died, of memory perhaps; run it again")

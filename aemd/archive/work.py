@@ -1,11 +1,16 @@
 """What a worker does with one file of an archive, and where workers come from."""
 
+import asyncio
+import os
+import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.connection import wait
+from threading import Thread
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
@@ -18,15 +23,20 @@ from aemd.config import EstimatorChoice, recorded_estimator
 from aemd.errors import InstrumentError, RecordingError
 from aemd.estimate.registry import make_estimator
 from aemd.pipeline import Tally, run
+from aemd.record.disk import NO_ROOM
 from aemd.record.source import Selection, open_readings
 from aemd.replay import choose, recording_to
 
-__all__ = ["Task", "replay_file", "workers"]
+__all__ = ["NoRoomError", "Task", "is_full", "replay_file", "workers"]
 
 _RETRIES = 2  # of a file whose worker was lost, by the cluster
 
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
+
+
+class NoRoomError(RecordingError):
+    """A disk is full: no other file of the archive would fare better."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +64,26 @@ def replay_file(task: Task) -> tuple[Entry, bytes | None]:
     The same task has the same result to the byte wherever and however often it runs, so a lost one is run again.
 
     Raises:
+        NoRoomError: the disk is full.
         RecordingError, ConfigError, UsageError: as `replay` does; there is no result then.
     """
+    try:
+        return _replay_file(task)
+    except RecordingError as error:
+        if is_full(error):  # said here, since the cause of an error stays behind in the process of a worker
+            raise NoRoomError(str(error)) from error
+        raise
+
+
+def is_full(error: BaseException) -> bool:
+    """Tell whether a full disk is at the bottom of an error."""
+    cause: BaseException | None = error
+    while cause is not None and not isinstance(cause, OSError):
+        cause = cause.__cause__
+    return cause is not None and cause.errno in NO_ROOM
+
+
+def _replay_file(task: Task) -> tuple[Entry, bytes | None]:
     stamp = task.source.stamp()
     with task.source.fetched() as path, open_readings(path, task.selection) as recording:
         description = recording.description
@@ -94,6 +122,8 @@ def replay_file(task: Task) -> tuple[Entry, bytes | None]:
 def workers(jobs: int, scheduler: str | None) -> Iterator[Executor]:
     """Give what runs tasks: this process, processes of this machine, or the workers of a dask cluster.
 
+    Who leaves by an exception waits for no task: those that were not begun never are, and processes of ours end.
+
     Raises:
         RecordingError: the cluster's package is not installed.
         InstrumentError: the scheduler does not answer.
@@ -109,12 +139,21 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Executor]:
             raise InstrumentError(
                 f"--scheduler {scheduler}: does not answer; start one by `dask scheduler`, and name its address"
             ) from error
-        with client, client.get_executor(pure=False, retries=_RETRIES) as executor:
-            yield executor
+        with client:
+            yield _Cluster(client)
     elif jobs > 1:
+        others = active_children()
         # Not by fork: a thread of ours, or of the compression's, may hold a lock at that moment.
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as executor:
+        executor = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_follow_parent)
+        try:
             yield executor
+        except BaseException:
+            for process in active_children():
+                if process not in others:
+                    process.terminate()
+            raise
+        finally:
+            executor.shutdown(cancel_futures=True)
     else:
         yield _Here()
 
@@ -129,3 +168,35 @@ class _Here(Executor):
         except Exception as error:  # noqa: BLE001 - it is raised again where the result is asked for
             done.set_exception(error)
         return done
+
+
+class _Cluster(Executor):
+    """Runs tasks on a dask cluster, until its client is closed.
+
+    Not by the client's own executor: where a worker dies with a result that was not fetched yet, and the task fails
+    when it is run again, its future never ends; and at the end it waits for all tasks that were handed out.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def submit(self, fn: Callable[Given, Result], /, *args: Given.args, **kwargs: Given.kwargs) -> Future[Result]:
+        # Not pure: the same task again is run again, since its result may be gone.
+        handed_out = self._client.submit(fn, *args, **kwargs, pure=False, retries=_RETRIES)
+        return asyncio.run_coroutine_threadsafe(self._fetch(handed_out), self._client.loop.asyncio_loop)
+
+    async def _fetch(self, handed_out: Any) -> Any:
+        return await self._client.gather(handed_out, asynchronous=True)
+
+
+def _follow_parent() -> None:
+    """Make this process end when the one that started it does, however that ends; Ctrl-C is for that one alone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    if parent is not None:
+        Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    wait([sentinel])
+    os._exit(1)

@@ -20,6 +20,9 @@ from aemd.errors import AemdError, UsageError
 __all__ = ["app", "bench", "daemon", "files", "installation", "main", "meters", "models", "offline"]
 
 
+_INTERRUPTED = 130  # as a shell says it: 128, and the number of SIGINT
+
+
 def _version(wanted: bool) -> None:
     if wanted:
         print(f"aemd {__version__}")
@@ -38,6 +41,8 @@ def main() -> None:
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
         sys.stdout.flush()
+        if code == _INTERRUPTED:  # typer's own word for it, without a line
+            _fail("interrupted", _INTERRUPTED)
     except AemdError as error:
         _fail(str(error), error.exit_code)
     except TyperException as error:
@@ -45,7 +50,7 @@ def main() -> None:
         command = context.command_path if context is not None else "aemd"
         _fail(f"{error.format_message().rstrip('.')}; see {command} --help", UsageError.exit_code)
     except (KeyboardInterrupt, typer.Abort):
-        _fail("interrupted", 130)
+        _fail("interrupted", _INTERRUPTED)
     except BrokenPipeError:  # whoever read us has heard enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:

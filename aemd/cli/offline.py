@@ -1,5 +1,7 @@
 """Commands on recordings: replay, import, export, info."""
 
+import signal
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -50,6 +52,8 @@ def replay(
     from aemd import replay as offline
     from aemd.archive import is_pattern, replay_archive
 
+    # As by Ctrl-C: what is half made is removed, and what was made of an archive is noted.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     selection = select(topic, field, time)
     if is_pattern(file):
         if out is None or check or plot is not None:
