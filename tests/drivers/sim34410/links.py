@@ -13,6 +13,7 @@ from sim34410 import Bench, Options, make_bench, serve_bench
 from sim34410.meter import Meter, MeterProperties
 from sim34410.usb import UsbDevice
 from sim34410.usb_backend import plugged_in
+from tests.drivers.agilent34410.bench import HandClock
 
 FULL = 50_000
 
@@ -25,19 +26,6 @@ class Counter:
         return Truth(
             signal_V=1e-4 * (start_s + aperture_s / 2), internal_V=nothing, external_V=nothing, noise_V=nothing
         )
-
-
-class HandClock:
-    """A clock that the test moves while a thread serves."""
-
-    def __init__(self) -> None:
-        self.now_ns = 1_000_000_000_000
-
-    def __call__(self) -> int:
-        return self.now_ns
-
-    def move(self, seconds: float) -> None:
-        self.now_ns += round(seconds * 1e9)
 
 
 class RunningClock(HandClock):
