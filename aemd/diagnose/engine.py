@@ -23,6 +23,7 @@ from aemd.diagnose.figures import compare_figures, remark_on, rival_figures
 from aemd.diagnose.fit import Fit, fit_base, refit, residuals, restart_base
 from aemd.diagnose.gain import SLOW, HeldOut, block_of, measure_gain
 from aemd.diagnose.given import BOUNDED, Given, accept
+from aemd.diagnose.goodness import fits, leaves_a_wave, share_a_period
 from aemd.diagnose.hidden import hidden
 from aemd.diagnose.hypothesis import Data, Term, make_data
 from aemd.diagnose.intervals import covariance, describe
@@ -59,6 +60,8 @@ _BROAD = (
     "extra_gauss_markov",
     "popcorn_noise",
     "changing_noise",
+    "wandering_line",
+    "periodic_glitch",
     "nonlinearity",
     "shock_law",
     "ring_down",
@@ -141,14 +144,17 @@ def criticise(
     spread = covariance(fit)
     explained = _explained(fit, named, spread, lacking, before if fit is full else None)
     judged = [_judge(item, found) for item, (_, found) in zip(explained, named, strict=True)]
-    findings += [item for item, _ in judged]
+    numbers = range(1, len(fit.terms))
+    parts = [share_a_period(fit, number) or leaves_a_wave(fit, number) for number in numbers]
+    findings += [_doubted(item) if of_one else item for (item, _), of_one in zip(judged, parts, strict=True)]
     if not all(stays for _, stays in judged):  # what does not predict is no explanation, however well it fits
         kept = [0, *(number for number, (_, stays) in enumerate(judged, start=1) if stays)]
         fit = refit([fit.terms[number] for number in kept], fit.data, np.concatenate([fit.parts_of(at) for at in kept]))
         spread = covariance(fit)
     if left:
         findings.append(_unexplained(left, fit, stopped))
-    if any(item.cause == "unexplained" and not item.remark for item in findings) and not stopped:
+    open_end = any(item.cause == "unexplained" and not item.remark for item in findings)
+    if findings and not stopped and (open_end or not fits(fit, evidence)):
         findings = [_less_sure(item) for item in findings]
     open_ends = any(item.cause == "unexplained" for item in findings)
     verdict: Verdict = "unexplained" if open_ends else "explained" if findings else "nothing_found"
@@ -319,8 +325,13 @@ def _judge(finding: Finding, found: Named) -> tuple[Finding, bool]:
 
 
 def _less_sure(finding: Finding) -> Finding:
-    """Return a finding beside which something stays unexplained: what has no sharp mark may be part of it."""
-    if finding.cause not in _BROAD or "unexplained" in finding.names:
+    """Return a finding of a model that leaves something: what has no sharp mark may be part of that."""
+    return _doubted(finding) if finding.cause in _BROAD else finding
+
+
+def _doubted(finding: Finding) -> Finding:
+    """Return a finding whose name is the nearest, and may not be it."""
+    if "unexplained" in finding.names:
         return finding
     return replace(finding, names=(*finding.names, "unexplained"), probability=finding.probability / 2)
 
