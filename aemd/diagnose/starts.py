@@ -70,7 +70,7 @@ def spectral_starts(data: Data, *, rising: bool = False) -> list[Floats]:
 
 def usual_starts(data: Data) -> list[Floats]:
     """Return starts for the base that share the usual change between readings out among signal and noise."""
-    usual = 1.4826 * float(np.median(np.abs(np.diff(data.y))))
+    usual = _usual_change(np.diff(data.y))
     step = data.interval_s
     return [
         np.array(
@@ -95,7 +95,7 @@ def without_jumps(data: Data) -> tuple[Data, float, float]:
     are large changes both; cut to what is usual, their sum leaves a record of the rest, good enough to begin with.
     """
     change = np.diff(data.y)
-    usual = 1.4826 * float(np.median(np.abs(change[data.used[1:] & data.used[:-1]])))
+    usual = _usual_change(change[data.used[1:] & data.used[:-1]])
     large = np.abs(change) > _LARGE * usual
     calm = np.concatenate(([0.0], np.cumsum(np.clip(change, -_LARGE * usual, _LARGE * usual))))
     first = large & ~np.concatenate(([False], large[:-1]))
@@ -103,6 +103,11 @@ def without_jumps(data: Data) -> tuple[Data, float, float]:
         return data, 0.0, 0.0
     size = float(np.sqrt(np.mean(change[first] ** 2)))
     return replace(data, y=calm), int(np.count_nonzero(first)) / data.span_s, size
+
+
+def _usual_change(change: Floats) -> float:
+    """Return what deviation most changes tell of; on a coarse lattice most are 0, and then their rms."""
+    return 1.4826 * float(np.median(np.abs(change))) or float(np.sqrt(np.mean(change**2)))
 
 
 def _markov_spectrum(f: Floats, tau_s: float, step_s: float) -> Floats:

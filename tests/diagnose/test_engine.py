@@ -135,3 +135,14 @@ def finding_of(cause, gain, parameters=None):
 
 def named():
     return Named(None, None, ("resonance",), 1.0, 12.0)
+
+
+def test_a_lattice_on_which_most_readings_repeat_the_last_is_named():
+    q = 5e-3
+    y = np.round(clean(3, shocks_per_s=0.05) / q) * q
+    assert np.median(np.abs(np.diff(y))) == 0.0
+
+    finding, *_ = criticise(series(y)).findings
+
+    assert finding.cause == "quantisation"
+    assert finding.parameters["step_V"].value == pytest.approx(q, rel=1e-6)
