@@ -34,7 +34,9 @@ _FLAT = 0.1  # of what is worth a step: a free number that can gain no more stay
 _DIFFERENCE = 1e-5  # of a free number, for the derivatives
 HOPELESS = 20.0
 """Nats behind the best, after what may still come, from which a start is given up."""
-_PATIENCE = 5  # steps that the best start of each kind has at least
+_PATIENCE = 5  # steps that the best start of each kind has at least, where that is not too much work
+_WORK = 1e5  # (free numbers times states squared) of those steps, for each reading
+_IN_HASTE = 3  # such steps, below which only the best start of each kind sets out
 _STILL_TO_COME = 3.0  # times its last step's gain that a start is given credit for; steps gain less and less
 
 
@@ -95,7 +97,7 @@ def densities(terms: Sequence[Term], theta: Floats, data: Data) -> Floats:
 
 def readings_scores(terms: Sequence[Term], theta: Floats, data: Data, here: Floats, high: Floats) -> Floats:
     """Return the derivative of each reading's log density by each free number, shape (n, k)."""
-    scores = np.empty((here.size, theta.size))
+    scores = np.empty((theta.size, here.size)).T  # each number's derivatives side by side
     for number in range(theta.size):
         aside = theta.copy()
         width = _DIFFERENCE if theta[number] + _DIFFERENCE <= high[number] else -_DIFFERENCE
@@ -125,6 +127,9 @@ class Climb:
         """By the last step, nats."""
         self.done = not self.theta.size
         self._damping = 1e-3
+        states = len(assemble(terms, self.theta, data)[1].states)
+        self.work = float((self.theta.size + 2) * (states + 2) ** 2)
+        """Of a step, for each reading."""
 
     @property
     def worth(self) -> float:
@@ -140,7 +145,8 @@ class Climb:
         """Take one step, or say that there is none worth taking."""
         enough = max(_CONVERGED, _CONVERGED_PER_READING * self._data.n)
         scores = readings_scores(self.terms, self.theta, self._data, self._here, self._high)
-        gradient, curvature = scores.sum(axis=0), scores.T @ scores
+        # Not by matrix multiplication: so slim a product costs the library's threads more in waiting than in work.
+        gradient, curvature = scores.sum(axis=0), np.einsum("nk,nl->kl", scores, scores)
         pinned = ((self.theta <= self._low) & (gradient < 0)) | ((self.theta >= self._high) & (gradient > 0))
         # What changes nothing would take the longest step all the time, and leave none to the others.
         pinned |= np.abs(gradient) + np.diag(curvature) < _FLAT * enough
@@ -181,15 +187,19 @@ def race(starts: Sequence[Climb], iterations: int) -> list[Climb]:
     """Let starts climb together, give up those that fall hopelessly behind, and return the others, best first.
 
     The best of each kind is given a few steps first: a mechanism that the base has imitated begins far down, because
-    the base has to give way before it can rise.
+    the base has to give way before it can rise. Fewer steps beside a large model, where each is costly: what loses has
+    its turn in the next round.
     """
     left = list(starts)
+    patience = int(np.clip(_WORK / max(sum(one.work for one in left), 1.0), 1, _PATIENCE))
+    if patience < _IN_HASTE:
+        left = _best_of_each_kind(left)
     for count in range(1, iterations + 1):
         for one in left:
             if not one.done:
                 one.step()
         top = max(one.worth for one in left)
-        first = _best_of_each_kind(left) if count < _PATIENCE else []
+        first = _best_of_each_kind(left) if count < patience else []
         left = [one for one in left if one in first or one.worth + _STILL_TO_COME * one.gained >= top - HOPELESS]
         left = _distinct(left)
         if all(one.done for one in left):

@@ -7,6 +7,7 @@ term stands beside a fitted base.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import exp, inf, log, sqrt
 
 import numpy as np
@@ -33,6 +34,12 @@ _UNLIKELY = 4.0
 """Nats below the best from which a rate is left out."""
 _UNSEEN = 0.1
 """Of the deviation of an innovation: what the drift goes in the whole record, below which it is none."""
+_INSIDE = 0.1
+"""Step away from a bound that shows what depends on it; free numbers are logarithms or of order 1."""
+_SAME = 1e-3
+"""Change of what does not, in parts of it or of its interval."""
+_FARTHEST = 50.0
+"""Natural logarithms, up to which an interval reaches that is not open."""
 _MOST_STEPS = 4
 _CLIMB = 3
 
@@ -58,7 +65,9 @@ def describe(fit: Fit, number: int, spread: Floats) -> Mapping[str, Value]:
     begin = sum(term.start.size for term in fit.terms[:number])
     term, theta = fit.terms[number], fit.parts_of(number)
     own = spread[begin : begin + theta.size, begin : begin + theta.size]
-    return {parameter.name: _value(parameter, theta, own) for parameter in term.parameters(fit.data)}
+    low, high = np.array(term.bounds, np.float64).reshape(-1, 2).T
+    ends = np.where(theta >= high, 1.0, np.where(theta <= low, -1.0, 0.0))
+    return {parameter.name: _opened(parameter, theta, own, ends) for parameter in term.parameters(fit.data)}
 
 
 def _drifts(fit: Fit) -> list[tuple[float, Floats, Floats]]:
@@ -119,6 +128,32 @@ def _given_the_drift(fit: Fit) -> Floats:
     return np.asarray(covered / np.outer(scale, scale))
 
 
+def _opened(parameter: Parameter, theta: Floats, spread: Floats, ends: Floats) -> Value:
+    """Return a parameter, its interval open where a free number that it depends on ended at a bound.
+
+    Beyond the bound nothing was tried, and what lies there may be as likely.
+
+    Args:
+        parameter: what is reported.
+        theta: the term's free numbers.
+        spread: their covariance.
+        ends: 1 where a number is at its upper bound, -1 at its lower one, else 0.
+    """
+    value = _value(parameter, theta, spread)
+    width = value.high - value.low
+    for number in np.flatnonzero(ends):
+        inside = theta.copy()
+        inside[number] -= ends[number] * _INSIDE
+        change = value.value - parameter.value(inside)
+        if abs(change) < _SAME * min(abs(value.value), width):
+            continue
+        if change > 0:
+            value = replace(value, high=inf)
+        elif change < 0:
+            value = replace(value, low=0.0 if parameter.positive else -inf)
+    return value
+
+
 def _value(parameter: Parameter, theta: Floats, spread: Floats) -> Value:
     here = parameter.value(theta)
     slopes = np.empty(theta.size)
@@ -128,7 +163,19 @@ def _value(parameter: Parameter, theta: Floats, spread: Floats) -> Value:
         aside[number] += width
         slopes[number] = (parameter.value(aside) - here) / width
     sd = sqrt(max(float(slopes @ spread @ slopes), 0.0))
+    alone = np.flatnonzero(slopes)
+    if alone.size == 1:  # the number's own ends, so that a share stays below 1
+        reach = min(1.96 * sd / abs(float(slopes[alone[0]])), _FARTHEST)
+        aside = theta.copy()
+        aside[alone] = theta[alone] - reach
+        one = parameter.value(aside)
+        aside[alone] = theta[alone] + reach
+        low, high = sorted((one, parameter.value(aside)))
+        if parameter.positive:
+            low, high = max(low, 0.0), high if high < here * exp(_FARTHEST - 1) else inf
+        return Value(here, low, high, parameter.unit)
     if parameter.positive and here > 0:
-        reach = min(1.96 * sd / here, 50.0)
-        return Value(here, exp(log(here) - reach), exp(log(here) + reach) if reach < 50 else inf, parameter.unit)
+        reach = min(1.96 * sd / here, _FARTHEST)
+        high = exp(log(here) + reach) if reach < _FARTHEST else inf
+        return Value(here, exp(log(here) - reach), high, parameter.unit)
     return Value(here, here - 1.96 * sd, here + 1.96 * sd, parameter.unit)

@@ -22,7 +22,8 @@ def format_diagnosis(diagnosis: Diagnosis) -> str:
     lines = [_verdict(diagnosis), ""]
     for finding in diagnosis.findings:
         lines += [*_finding(finding), ""]
-    if any(finding.cause == "smoothing" for finding in diagnosis.findings):
+    sized = [finding.cause for finding in diagnosis.findings if finding.parameters]
+    if "smoothing" in sized and len(sized) > 1:
         lines.append("Sizes are those before the smoothing; the readings show less of what is fast.")
     if diagnosis.not_covered:
         lines.append(f"Not looked for: {', '.join(diagnosis.not_covered)}.")
@@ -93,7 +94,8 @@ def _finding(finding: Finding) -> tuple[str, str]:
             f"; {_worth(finding.gain)}, "
             f"prediction error {_engineer(finding.rms_before, 'V')} -> {_engineer(finding.rms_after, 'V')} rms"
         )
-    return f"{what}: {sizes + '; ' if sizes else ''}{evidence}{worth}.", f"  Next: {then}."
+    mark = ";" if ":" in what else ":"
+    return f"{what}{mark} {sizes + '; ' if sizes else ''}{evidence}{worth}.", f"  Next: {then}."
 
 
 def _worth(gain: Gain) -> str:
@@ -145,10 +147,9 @@ def _say(value: Value) -> str:
     text = _engineer(here, value.unit, digits)
     if low == high or (open_below and open_above):
         return text if low == high else f"{text} (of any size)"
-    if open_above:
-        return f"{text} (or more)" if low == here else f"{text} ({_engineer(low, value.unit, digits)} or more)"
-    if open_below:
-        return f"{text} (or less)" if high == here else f"{text} ({_engineer(high, value.unit, digits)} or less)"
+    if open_above or open_below:
+        end, way = _engineer(low if open_above else high, value.unit, digits), "more" if open_above else "less"
+        return f"{text} (or {way})" if end == text else f"{text} ({end} or {way})"
     return f"{text} ({_engineer(low, value.unit, digits)} to {_engineer(high, value.unit, digits)})"
 
 

@@ -26,6 +26,7 @@ Floats = NDArray[np.float64]
 
 _LEAST_READINGS = 100
 """Fewer do not tell the base model's parameters apart."""
+_USUAL_APERTURE_S = 0.02
 MOST_READINGS = 1_000_000
 """19 hours at 15 readings/s: of a longer record the beginning is judged, and the report says so. Each fit goes through
 all readings some hundred times and holds several arrays of them, so time and memory would grow with the record."""
@@ -56,7 +57,7 @@ class Series:
     numbered: bool = False
     """Whether the file numbers its readings, so that a loss is known and not inferred."""
     aperture_s: float = 0.02
-    """As the file says; else one cycle of 50 Hz, as a meter at NPLC 1 takes."""
+    """As the file says; else one cycle of 50 Hz, as a meter at NPLC 1 takes, if the readings leave time for it."""
     witnesses: Mapping[str, Floats] = field(default_factory=dict)
     """Further quantities, interpolated at the readings' times."""
     left_out: int = 0
@@ -175,7 +176,7 @@ def _from_recording(path: Path, made: Path, most: int, *, numbered: bool) -> Ser
         interval_s=interval_s,
         nominal_interval_s=nominal if numbered and math.isfinite(nominal) else 0.0,
         numbered=numbered,
-        aperture_s=float(stated) if stated else 0.02,
+        aperture_s=float(stated) if stated else min(_USUAL_APERTURE_S, interval_s),
         witnesses=witnesses,
         left_out=left_out,
     )

@@ -1,8 +1,15 @@
 """A record with more wrong than is looked for: the report comes, and says where the search stopped."""
 
-import numpy as np
+from dataclasses import dataclass, field
 
-from aemd.diagnose import criticise
+import numpy as np
+import pytest
+
+from aemd.diagnose import criticise, format_diagnosis
+from aemd.diagnose.climb import Climb, race
+from aemd.diagnose.fit import fit_base
+from aemd.diagnose.hypothesis import make_data
+from aemd.diagnose.terms.noise import Resonance
 from tests.diagnose.plant import series, times
 
 N = 1_500
@@ -22,3 +29,50 @@ def test_after_six_findings_the_search_stops_and_says_what_is_left():
     assert left.p_value < 1e-20
     assert "strongest line" in left.experiment
     assert "the search stops after 6 findings" in left.experiment
+
+
+@pytest.mark.parametrize(("resonances", "steps"), [(0, 5), (8, 1)])
+def test_a_start_without_hope_has_fewer_steps_beside_a_large_model(resonances, steps):
+    """A step is one pass of the filter for each free number and some trials; a million nats behind there is no hope."""
+    rng = np.random.default_rng(5)
+    base = fit_base(make_data(series(1.0 + 1e-3 * rng.standard_normal(400))))
+    beside = [Resonance(0.5 + 0.7 * k, 0.5, 2.0, 1e-3, 0.0) for k in range(resonances)]
+    known = np.concatenate((base.theta, *(term.start for term in beside)))
+    kinds = [Counted(0.0, "likely"), *(Counted(1e6, f"hopeless {k}") for k in range(6))]
+    race([Climb([*base.terms, *beside, kind], np.append(known, 0.1), base.data, kind.cost_nats) for kind in kinds], 10)
+
+    passes = known.size + 2
+    for kind in kinds[1:]:
+        assert len(kind.asked) <= steps * (passes + 9) + 3
+        assert steps == 1 or len(kind.asked) > passes + 9
+
+
+@dataclass
+class Counted:
+    """A level that counts how often it is asked for."""
+
+    cost_nats: float
+    cause: str
+    asked: list[None] = field(default_factory=list)
+
+    start = np.zeros(1)
+    bounds = ((-10.0, 10.0),)
+
+    def add(self, theta, data, parts):
+        self.asked.append(None)
+        parts.mean += theta[0] * np.sin(data.t_s)
+
+    def parameters(self, data):
+        return ()
+
+
+def test_all_findings_together_have_a_gain_of_their_own():
+    """Two lines of D = A^2 n / 4 = 60 and 135 nats that share nothing: together they gain what both gain."""
+    rng = np.random.default_rng(4)
+    y = rng.standard_normal(N) + sum(a * np.sin(2 * np.pi * f * times(N)) for a, f in ((0.4, 1.31), (0.6, 3.67)))
+    found = criticise(series(1.0 + 1e-3 * y))
+    one, two = (finding.gain.nats_total for finding in found.findings)
+
+    assert found.gain is not None
+    assert found.gain.nats_total == pytest.approx(one + two, rel=0.1)
+    assert "All that was found together is worth" in format_diagnosis(found)

@@ -123,6 +123,7 @@ def _refined(fit: Fit, period_s: float, begin_s: float, width_s: float, cost: fl
     top, size = _worth(fit, here, cost, count)
     for reach in (1.0, 0.5, 0.25):
         for _ in range(2):
+            middle = here
             for d_period in (-1.0, -0.5, 0.0, 0.5, 1.0):
                 for d_begin in (-1.0, -0.5, 0.0, 0.5, 1.0):
                     for d_width in (-1.0, 0.0, 1.0):
@@ -131,9 +132,13 @@ def _refined(fit: Fit, period_s: float, begin_s: float, width_s: float, cost: fl
                             here[1] + reach * (d_begin - d_period / 2) * interval,
                             max(here[2] + reach * d_width * interval, 0.5 * interval),
                         )
+                        if trial == here:
+                            continue
                         value, amplitude = _worth(fit, trial, cost, count)
                         if value > top:
                             here, top, size = trial, value, amplitude
+            if here == middle:  # the same places would be tried again
+                break
     while count < fit.data.y.size:
         count = min(2 * count, fit.data.y.size)
         pulses = float(fit.data.t_s[count - 1]) / period_s

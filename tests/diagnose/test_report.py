@@ -1,0 +1,92 @@
+"""What the text of a report says: the right word for a line, ends that are open, what was not fitted."""
+
+from math import inf
+
+import numpy as np
+import pytest
+
+from aemd.diagnose import Finding, Gain, Value
+from aemd.diagnose.fit import fit_base, residuals
+from aemd.diagnose.hypothesis import make_data
+from aemd.diagnose.intervals import describe
+from aemd.diagnose.report import format_finding
+from aemd.diagnose.terms.noise import Resonance, Smoothing
+from tests.diagnose.plant import clean, series
+
+NOTHING = Gain(0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def base():
+    return fit_base(make_data(series(clean(3, 400))))
+
+
+@pytest.mark.parametrize(
+    ("shown_hz", "words"),
+    [(240.0, "hum of the mains at 4 times its frequency"), (60.0, "mains hum"), (0.4, "mains alias"), (5.3, "mains")],
+)
+def test_a_line_of_the_mains_is_an_alias_only_where_it_was_folded(shown_hz, words):
+    """60 Hz at 14.9 /s shows at 0.4 Hz; at 1,706 /s it shows at 60 Hz, and its fourth harmonic at 240 Hz."""
+    value = {"mains_hz": Value(60.0, 59.9, 60.1, "Hz"), "alias_hz": Value(shown_hz, shown_hz, shown_hz, "Hz")}
+
+    assert format_finding(finding("mains_alias", value)).startswith(f"Consistent with {words}")
+
+
+def test_what_was_not_fitted_is_told_apart_from_what_to_do_next():
+    first, then = format_finding(
+        finding("unexplained", {}, "strongest band looks most like resonance, which was not fitted; record again")
+    ).splitlines()
+
+    assert first.startswith("Unexplained: strongest band looks most like resonance, which was not fitted; p = ")
+    assert then == "  Next: record again."
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (Value(62.2261, 55.5205, 69.7416, ""), "62.23 (55.52 to 69.74)"),
+        (Value(62.2261, 55.5205, inf, "s"), "62.23 s (55.52 s or more)"),
+        (Value(62.2261, 0.0, 69.7416, "s"), "62.23 s (69.74 s or less)"),
+        (Value(1e-3, 0.0, inf, "V"), "1 mV (of any size)"),
+        (Value(608.147039, 608.146, 608.148, "Hz"), "608.14704 Hz (608.146 Hz to 608.148 Hz)"),
+    ],
+)
+def test_a_size_has_the_digits_that_its_interval_tells_and_says_which_end_is_open(value, words):
+    assert f"quality {words}; " in format_finding(finding("resonance", {"quality": value}))
+
+
+def test_an_interval_is_open_beyond_a_bound_that_the_fit_ended_at(base):
+    """The quality is pi f tau; where tau ended at its longest, nothing longer was tried; the frequency stays."""
+    term = Resonance(2.0, 4.0, 5.0, 1.0, 0.0)
+    at_its_longest = np.array([np.log(5.0), 0.0, 0.0])
+    fit = residuals([*base.terms, term], np.concatenate((base.theta, at_its_longest)), base.data)
+    told = describe(fit, 1, np.diag(np.full(fit.theta.size, 1e-4)))
+
+    assert told["quality"].value == pytest.approx(np.pi * 2.0 * 5.0)
+    assert told["quality"].low < told["quality"].value
+    assert told["quality"].high == inf
+    assert told["frequency_hz"].high - told["frequency_hz"].low == pytest.approx(2 * 1.96 * 0.01 / 4.0, rel=0.01)
+
+
+def test_the_interval_of_a_share_ends_below_all_of_it(base):
+    """kept = 1 / (1 + e^-x) with x = 3 +- 1.96 * 2."""
+    term = Smoothing(0.5, 0.0)
+    fit = residuals([*base.terms, term], np.concatenate((base.theta, [3.0])), base.data)
+    share = describe(fit, 1, np.diag(np.full(fit.theta.size, 4.0)))["fraction"]
+
+    assert (share.low, share.high) == pytest.approx((1 / (1 + np.exp(0.92)), 1 / (1 + np.exp(-6.92))), rel=1e-6)
+
+
+def finding(cause: str, parameters: dict[str, Value], experiment: str = "look again") -> Finding:
+    return Finding(
+        cause=cause,
+        names=(cause,),
+        probability=1.0,
+        p_value=1e-9,
+        d_nats=20.0,
+        parameters=parameters,
+        gain=NOTHING,
+        rms_before=1.0,
+        rms_after=1.0,
+        experiment=experiment,
+    )
