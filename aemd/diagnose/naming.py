@@ -7,14 +7,16 @@ and the logarithm of the number of places it could have been for a location (fre
 prior odds, except where a term states others.
 
 The best of the catalogue may still be the wrong name of what the catalogue does not have. A name is refused where a
-rival from outside explains more, and where a mechanism that acts all the time explains what happened once.
+rival from outside explains more, and where a mechanism that acts all the time explains what happened once. What is
+left once every name is given is judged elsewhere (goodness.py).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import exp
+from math import exp, log
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from aemd.diagnose.climb import Climb, race
@@ -22,7 +24,7 @@ from aemd.diagnose.evidence import exceedance_of_peaks
 from aemd.diagnose.fit import Fit, begin_with, residuals, steps_for
 from aemd.diagnose.hypothesis import Term
 from aemd.diagnose.terms.events import Popcorn
-from aemd.diagnose.terms.lines import Sines, WanderingLine, fold
+from aemd.diagnose.terms.lines import Sines, WanderingLine, amplitude_cost, fold
 from aemd.diagnose.terms.noise import ChangingNoise, Resonance
 
 __all__ = ["Named", "acts_throughout", "name"]
@@ -45,6 +47,11 @@ _LEAST_TURNS = 3.0
 """Of what is said to come again, in a record."""
 _LEAST_TO_COLOUR = 20
 """Readings."""
+_MOST_LINES = 6
+_MOST_TO_SPLIT = 200_000
+"""Readings; lines are fitted with all of them at hand."""
+_CLEARLY = 2.0
+"""Nats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +133,8 @@ def _does_not_fit(before: Fit, after: Fit) -> str:
         turns = fold(term.harmonics[0] * (term.frequency_hz + theta[0] / span_s), 1 / after.data.interval_s) * span_s
         if turns < _LEAST_TURNS:
             return "which would come again and again, and the record holds less than three turns of it"
+    if isinstance(term, Resonance) and _is_some_lines(before, after, term):
+        return "which would swing at random, and some lines beside each other explain more"
     if isinstance(term, Popcorn) and span_s / (exp(theta[1]) + exp(theta[2])) < _LEAST_TURNS:
         return "which would jump again and again, and the record holds less than three visits"
     if isinstance(term, ChangingNoise) and _coloured(after, term):
@@ -137,6 +146,36 @@ def _share_of_the_best_stretch(before: Fit, after: Fit) -> float:
     """Return the share of a gain that comes from the stretch of a twentieth of the record where it is largest."""
     gained = np.array([part.sum() for part in np.array_split((after.each - before.each)[after.data.used], 40)])
     return float((gained[1:] + gained[:-1]).max() / max(float(gained.sum()), 1e-9))
+
+
+def _is_some_lines(before: Fit, after: Fit, term: Resonance) -> bool:
+    """Return whether two lines or more, of free frequencies in its band, explain more than a resonance does.
+
+    One wave of a form that is not in the catalogue, such as a beat, is a few lines; a resonance as narrow has a
+    power of its own at each frequency, and needs as many. The lines are fitted to the residuals of the fit without
+    either, one after another; there a wave is a wave still, since the filter has settled.
+    """
+    data = before.data
+    if data.y.size > _MOST_TO_SPLIT or not before.z.any():
+        return False
+    theta = after.parts_of(len(after.terms) - 1)
+    centre_hz, half_hz = term.frequency_hz + theta[1] / term.tau_s, max(1.5 / (np.pi * exp(theta[0])), 4 / data.span_s)
+    grid_hz = np.fft.rfftfreq(4 * data.y.size, data.interval_s)
+    band = (np.abs(grid_hz - centre_hz) < half_hz) & (grid_hz > 1 / data.span_s)
+    if not band.any():
+        return False
+    cost = amplitude_cost(2, data.n) + log(max(2 * half_hz * data.span_s, 1.0))
+    needed = after.log_likelihood - before.log_likelihood - term.cost_nats + _CLEARLY
+    left, waves = before.z, list[NDArray[np.float64]]()
+    for count in range(1, _MOST_LINES + 1):
+        power = np.abs(np.fft.rfft(left, 4 * data.y.size)) ** 2
+        angle = 2 * np.pi * float(grid_hz[band][np.argmax(power[band])]) * data.t_s
+        waves += [np.where(data.used, np.cos(angle), 0.0), np.where(data.used, np.sin(angle), 0.0)]
+        columns = np.column_stack(waves)
+        left = before.z - columns @ np.linalg.lstsq(columns, before.z, rcond=None)[0]
+        if count > 1 and 0.5 * float(before.z @ before.z - left @ left) - count * cost > needed:
+            return True
+    return False
 
 
 def _coloured(fit: Fit, term: ChangingNoise) -> bool:

@@ -28,6 +28,11 @@ def packet(rng):
     return 3.0 * np.exp(-(((times() - 100.0) / 3.0) ** 2)) * np.sin(2 * np.pi * 2.7 * times())
 
 
+def beat(rng):
+    """Two lines beside each other swing no more at random than one."""
+    return 0.3 * np.sin(2 * np.pi * times() / 60) * np.sin(2 * np.pi * 4.4 * times())
+
+
 def clusters(rng):
     """Shocks that set off others: the catalogue's come alone."""
     jumps = np.zeros(N)
@@ -38,7 +43,7 @@ def clusters(rng):
     return np.convolve(jumps, decayed)[:N]
 
 
-@pytest.mark.parametrize("shape", [slow_wave, swell, packet, clusters])
+@pytest.mark.parametrize("shape", [slow_wave, swell, packet, clusters, beat])
 def test_it_is_found_and_no_name_is_sure(shape):
     found = criticise(series(clean(5) + 1e-3 * shape(np.random.default_rng(77))))
 
