@@ -37,6 +37,9 @@ _ONCE = 1e-4
 """p of a gain so uneven, below which what acts all the time is no name for it."""
 _ONCE_UNRESOLVED = 0.01
 """The same for a resonance as narrow as the record can tell: then one swell is as likely."""
+_HARDLY_UNEVEN = 0.35
+"""Deviation of the parts' gains over their mean that goes with what acts all the time: of thousands of nats a tenth
+more here and there is many deviations, and no sign of anything that comes and goes."""
 _EVEN = ("mains_alias", "periodic_interference", "wandering_line", "resonance", "difference_noise", "reading_pattern")
 _LINKED = ("nonlinearity", "signal_dependent_noise", "smoothing")
 """Mechanisms that act as much as the input moves, which may be uneven."""
@@ -200,6 +203,8 @@ def acts_throughout(before: Fit, after: Fit) -> bool:
     if term.cause in _LINKED:
         return float(gained.max()) < _MOST_IN_ONE * total
     if term.cause not in _EVEN or total <= 0:
+        return True
+    if float(gained.std()) < _HARDLY_UNEVEN * total / _PARTS:
         return True
     spread, once = 2 * total / _PARTS, _ONCE
     if isinstance(term, Resonance):

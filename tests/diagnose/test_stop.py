@@ -1,14 +1,17 @@
 """A record with more wrong than is looked for: the report comes, and says where the search stopped."""
 
 from dataclasses import dataclass, field
+from math import log
 
 import numpy as np
 import pytest
 
 from aemd.diagnose import criticise, format_diagnosis
 from aemd.diagnose.climb import Climb, race
-from aemd.diagnose.fit import fit_base
+from aemd.diagnose.fit import fit_base, refit, residuals
 from aemd.diagnose.hypothesis import make_data
+from aemd.diagnose.naming import acts_throughout
+from aemd.diagnose.terms.lines import Sines
 from aemd.diagnose.terms.noise import Resonance
 from tests.diagnose.plant import series, times
 
@@ -76,3 +79,18 @@ def test_all_findings_together_have_a_gain_of_their_own():
     assert found.gain is not None
     assert found.gain.nats_total == pytest.approx(one + two, rel=0.1)
     assert "All that was found together is worth" in format_diagnosis(found)
+
+
+def test_a_strong_line_a_fifth_larger_in_half_the_record_is_a_line_still():
+    """Of thousands of nats that is many deviations, and yet nothing that comes and goes."""
+    rng = np.random.default_rng(6)
+    amplitude = np.where(times(N) < times(N)[-1] / 2, 3.3, 2.7)
+    before = fit_base(make_data(series(1.0 + 1e-3 * rng.standard_normal(N))))
+    data = make_data(series(1.0 + 1e-3 * (rng.standard_normal(N) + amplitude * np.sin(2 * np.pi * 1.31 * times(N)))))
+    line = Sines("periodic_interference", 1.31, 1.5, (1,), (0.0, 3.0 * 1e-3 / data.unit_V), 0.0)
+    unit = log(before.data.unit_V / data.unit_V)
+    known = before.theta + np.array([0.0, unit, 0.0, unit, unit, 0.0, *([0.0, unit, 0.0] * before.base.shocks)])
+    without, with_it = residuals(before.terms, known, data), refit([*before.terms, line], data)
+
+    assert with_it.log_likelihood - without.log_likelihood > 1_000
+    assert acts_throughout(without, with_it)
