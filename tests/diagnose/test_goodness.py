@@ -13,6 +13,9 @@ from aemd.diagnose.terms.events import PeriodicGlitch
 from aemd.diagnose.terms.lines import Sines
 from tests.diagnose.plant import INTERVAL_S, N, clean, series, times
 
+MET_WITH_HUMPS = [33, 6]
+"""A seed at which humps were called a bent scale."""
+
 
 @pytest.fixture(scope="module")
 def fit():
@@ -99,8 +102,9 @@ def test_a_sawtooth_is_neither_a_line_nor_pulses():
     assert all("unexplained" in f.names for f in findings)
 
 
-def test_two_humps_that_the_drift_has_half_swallowed_are_no_bent_scale():
-    bells = sum(np.exp(-(((times() - at) / 3.0) ** 2)) for at in (90.0, 170.0))
-    findings = criticise(series(clean(7) + 8e-3 * bells)).findings
+def test_a_bent_scale_that_leaves_two_humps_behind_is_not_sure():
+    """The drift swallows most of them, and a bent scale predicts the rest better; but the drift was not always so."""
+    bells = sum(np.exp(-(((times() - at) / 3.0) ** 2)) for at in (101.0, 115.0))
+    findings = criticise(series(clean(MET_WITH_HUMPS) + 23e-3 * bells)).findings
 
-    assert all("unexplained" in f.names for f in findings)
+    assert [f.names for f in findings] == [("nonlinearity", "unexplained")]
