@@ -143,16 +143,22 @@ def criticise(
     fit, named, lacking = _pruned(fit, named)
     tell("measuring gains on held-out blocks")
     findings = [_from_defect(defect, base) for defect in defects if defect.cause not in expected]
-    spread = covariance(fit)
-    explained = _explained(fit, named, spread, lacking, before if fit is full else None)
-    judged = [_judge(item, found) for item, (_, found) in zip(explained, named, strict=True)]
+    refused = list[Finding]()
+    while True:
+        spread = covariance(fit)
+        explained = _explained(fit, named, spread, lacking, before if fit is full else None)
+        judged = [_judge(item, found) for item, (_, found) in zip(explained, named, strict=True)]
+        gone = [number for number, (_, stays) in enumerate(judged, start=1) if not stays]
+        if not gone:
+            break
+        # What does not predict is no explanation, however well it fits; what was measured beside it is measured again.
+        refused += [item for item, stays in judged if not stays]
+        named = [item for item, (_, stays) in zip(named, judged, strict=True) if stays]
+        fit, named, lacking = _pruned(_without(fit, *gone), named)
     numbers = range(1, len(fit.terms))
     parts = [share_a_period(fit, number) or leaves_a_wave(fit, number) for number in numbers]
     findings += [_doubted(item) if of_one else item for (item, _), of_one in zip(judged, parts, strict=True)]
-    if not all(stays for _, stays in judged):  # what does not predict is no explanation, however well it fits
-        kept = [0, *(number for number, (_, stays) in enumerate(judged, start=1) if stays)]
-        fit = refit([fit.terms[number] for number in kept], fit.data, np.concatenate([fit.parts_of(at) for at in kept]))
-        spread = covariance(fit)
+    findings += refused
     together = _measure_together(base, fit, [item.gain for item, _ in judged])
     if left:
         findings.append(_unexplained(left, fit, stopped))
@@ -229,8 +235,7 @@ def _pruned(fit: Fit, named: list[tuple[Evidence, Named]]) -> tuple[Fit, list[tu
     """
     number, lacking, whole = 1, dict[int, Fit](), fit
     while number < len(named) + (fit is not whole):
-        kept = [at for at in range(len(fit.terms)) if at != number]
-        without = refit([fit.terms[at] for at in kept], fit.data, np.concatenate([fit.parts_of(at) for at in kept]))
+        without = _without(fit, number)
         lost = fit.log_likelihood - without.log_likelihood
         if number < len(named) and lost < max(_LEAST_NATS, fit.terms[number].cost_nats):
             fit, named, number, lacking = without, [*named[: number - 1], *named[number:]], 1, {}
@@ -238,6 +243,12 @@ def _pruned(fit: Fit, named: list[tuple[Evidence, Named]]) -> tuple[Fit, list[tu
             lacking[number] = without
             number += 1
     return fit, named, lacking
+
+
+def _without(fit: Fit, *numbers: int) -> Fit:
+    """Return the fit begun from this one without the terms of these numbers."""
+    kept = [at for at in range(len(fit.terms)) if at not in numbers]
+    return refit([fit.terms[at] for at in kept], fit.data, np.concatenate([fit.parts_of(at) for at in kept]))
 
 
 def _from_defect(defect: Defect, base: Fit) -> Finding:
@@ -268,12 +279,13 @@ def _explained(
         fit: base and terms.
         named: the terms with their evidence.
         spread: covariance of the fit's free numbers.
-        lacking: by the number of a term, the fit without it; see `_pruned`.
+        lacking: by the number of a term, the fit without it, where it is known; see `_pruned`.
         before: the fit without the last term, begun anew already, where it is known.
     """
     findings, scores = [], dict[tuple[float, bool], Floats]()
     for number, (evidence, found) in enumerate(named, start=1):
-        without = before if number == len(named) and before is not None else lacking[number]
+        known = before if number == len(named) and before is not None else lacking.get(number)
+        without = known or _without(fit, number)
         if without is not before:
             without = restart_base(without)
         block_s, forward = block_of(fit.data, found.term), found.term.cause in SLOW
@@ -310,7 +322,7 @@ def _measure_together(base: Fit, fit: Fit, gains: list[Gain]) -> Gain | None:
     Args:
         base: before any term.
         fit: with those that stay.
-        gains: of the terms one by one, 0 of those that were taken out.
+        gains: of the terms one by one.
     """
     if len(fit.terms) == len(base.terms):
         return None
