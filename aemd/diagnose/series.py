@@ -27,8 +27,8 @@ Floats = NDArray[np.float64]
 _LEAST_READINGS = 100
 """Fewer do not tell the base model's parameters apart."""
 _USUAL_APERTURE_S = 0.02
-MOST_READINGS = 1_000_000
-"""19 hours at 15 readings/s: of a longer record the beginning is judged, and the report says so. Each fit goes through
+MOST_READINGS = 1_400_000
+"""26 hours at 15 readings/s: of a longer record the beginning is judged, and the report says so. Each fit goes through
 all readings some hundred times and holds several arrays of them, so time and memory would grow with the record."""
 _ON_GRID = 0.2
 """Intervals from a whole multiple that a step may be stamped off, and still be that multiple."""
