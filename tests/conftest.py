@@ -1,6 +1,7 @@
 """What all tests share: how hypothesis draws, and where measured logs are found."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,11 @@ from hypothesis import settings
 
 settings.register_profile("aemd", derandomize=True, deadline=None, print_blob=True)
 settings.load_profile("aemd")
+
+# What started us may ignore these (nohup, a job in the background), and every process that a test starts would, too.
+for _number, _usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, _usual)
 
 
 @pytest.fixture(scope="session")

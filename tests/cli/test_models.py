@@ -23,7 +23,7 @@ def test_a_diagnosis_is_json_with_the_documented_keys(aemd: Run, tmp_path: Path)
     assert finding["cause"] == finding["names"][0] == "periodic_interference"
     assert set(finding) == {
         "cause", "names", "probability", "p_value", "d_nats", "parameters", "gain", "rms_before", "rms_after",
-        "experiment",
+        "experiment", "remark",
     }  # fmt: skip
     assert set(finding["gain"]) == {"nats_per_reading", "nats_total", "low", "high"}
     frequency = finding["parameters"]["frequency_hz"]
