@@ -1,8 +1,12 @@
 """Archives for tests: a session cut into segments, as rotation leaves them, and one long recording of the same."""
 
+import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from mcap.writer import Writer
 
 from aemd.block import ESTIMATE, READING, Batch, Block, Status
 from aemd.record.description import Description, write_parameters
@@ -35,6 +39,23 @@ def write(path: Path, readings: Block, *, session: str = "", estimator: str = ""
     recorder = Recorder(path, description)
     recorder.write(Batch(readings), np.empty(0, ESTIMATE))
     return recorder.close("end")
+
+
+def write_json(path: Path, message: Callable[[float], Any]) -> None:
+    """Write what another program would: 300 JSON messages on /lab, 10 a second, each made of a standard normal number.
+
+    Args:
+        path: to write.
+        message: returns what is written of a number.
+    """
+    with path.open("wb") as out:
+        writer = Writer(out)
+        writer.start()
+        channel = writer.register_channel("/lab", "json", 0)
+        for number, value in enumerate(np.random.default_rng(3).standard_normal(300).tolist()):
+            time_ns = 10**18 + number * 10**8
+            writer.add_message(channel, time_ns, json.dumps(message(value)).encode(), time_ns)
+        writer.finish()
 
 
 def write_segments(folder: Path, readings: Block, count: int, *, session: str = "s", estimator: str = "") -> list[Path]:

@@ -1,15 +1,12 @@
 """Many files tuned or diagnosed: a row for each, a line for each that could not be, and one page."""
 
-import json
 from pathlib import Path
 
-import numpy as np
 import pytest
-from mcap.writer import Writer
 
 from aemd.archive import diagnose_archive, tune_archive, write_page
 from aemd.record.source import Selection
-from tests.archive.made import readings_of, write
+from tests.archive.made import readings_of, write, write_json
 
 
 def test_each_file_is_a_row_and_one_that_cannot_be_judged_a_line(tmp_path: Path) -> None:
@@ -40,15 +37,7 @@ def test_tuning_many_files_leaves_a_model_for_each_in_the_folder(tmp_path: Path)
 
 
 def test_a_number_of_another_programs_files_is_diagnosed_where_it_was_chosen(tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    with (tmp_path / "lab.mcap").open("wb") as out:
-        writer = Writer(out)
-        writer.start()
-        channel = writer.register_channel("/lab", "json", 0)
-        for number, value in enumerate(rng.standard_normal(300).tolist()):
-            payload = json.dumps({"mV": value, "celsius": 20.0}).encode()
-            writer.add_message(channel, 10**18 + number * 10**8, payload, 10**18 + number * 10**8)
-        writer.finish()
+    write_json(tmp_path / "lab.mcap", lambda value: {"mV": value, "celsius": 20.0})
 
     chosen = diagnose_archive(str(tmp_path), selection=Selection("/lab", "mV"))
 

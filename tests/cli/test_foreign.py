@@ -5,24 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
 
 from aemd.record.reader import Recording
+from tests.archive.made import write_json
 from tests.cli.asking import Run, refused
 
 
 @pytest.fixture
 def foreign(tmp_path: Path) -> Path:
     """300 JSON messages with two numbers, 10 a second."""
-    rng = np.random.default_rng(3)
-    with (tmp_path / "lab.mcap").open("wb") as out:
-        writer = Writer(out)
-        writer.start()
-        channel = writer.register_channel("/lab", "json", 0)
-        for number, value in enumerate(rng.standard_normal(300).tolist()):
-            payload = json.dumps({"dmm": {"mV": value}, "celsius": 20.0}).encode()
-            writer.add_message(channel, 10**18 + number * 10**8, payload, 10**18 + number * 10**8)
-        writer.finish()
+    write_json(tmp_path / "lab.mcap", lambda value: {"dmm": {"mV": value}, "celsius": 20.0})
     return tmp_path / "lab.mcap"
 
 

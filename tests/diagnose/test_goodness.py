@@ -34,12 +34,15 @@ def test_independent_normal_residuals_are_doubted_no_more_than_stated(fit):
     assert sum(low) < 7
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_record_of_the_base_fits_with_shocks_and_without(seed):
-    for shocks_per_s in (0.0, 0.2):
-        assert (
-            check_steadiness(fit_base(make_data(series(clean(seed, shocks_per_s=shocks_per_s))))).p_value > 0.1 * FITS
-        )
+def test_records_of_the_base_are_doubted_no_more_than_stated():
+    """Of 16, one in six tries has one below 1 %; two or more have a probability of one percent."""
+    fits = [
+        fit_base(make_data(series(clean(seed, shocks_per_s=shocks_per_s))))
+        for seed in range(1, 9)
+        for shocks_per_s in (0.0, 0.2)
+    ]
+
+    assert sum(check_steadiness(fit).p_value < FITS for fit in fits) < 2
 
 
 def louder(z):
