@@ -174,15 +174,29 @@ class _Loop:
         self._done = _Done()
         self._saved_s = time.monotonic()
         self._under_way: dict[Future[tuple[Entry, bytes | None]], tuple[Task, list[Found]]] = {}
+        self._full: AemdError | None = None
+        self._late: list[tuple[Task, Entry, bytes]] = []  # made, and its state found no room
 
     def go(self, runs: Sequence[Sequence[Found]], most: int) -> _Done:
-        """Replay all runs, so many at a time: what is done is noted before another one begins."""
+        """Replay all runs, so many at a time: what is done is noted before another one begins.
+
+        Raises:
+            NoRoomError: the disk is full; what was under way has ended, and what is whole is noted.
+        """
         for run in runs:
             self._advance(list(run), None)
             while len(self._under_way) >= most:
                 self._go_on()
         while self._under_way:
             self._go_on()
+        if self._full is not None:
+            self._make.folder.tidy()  # what is half made may be what fills the disk
+            for task, entry, state in self._late:
+                self._note(task, entry, state)
+            raise NoRoomError(
+                f"{self._make.folder.url}: no space left; {self._done.replayed + self._done.unchanged} of "
+                f"{self._total} files are there and whole; make room, and run it again: it goes on from there"
+            ) from self._full
         return self._done
 
     def _go_on(self) -> None:
@@ -194,7 +208,7 @@ class _Loop:
 
     def _advance(self, rest: list[Found], state: bytes | None) -> None:
         """Pass over the files whose results are there, and hand out the first one that is not."""
-        while rest:
+        while rest and self._full is None:
             found, rest = rest[0], rest[1:]
             task = self._make.task(found, state, is_last=not rest)
             entry = self._manifest.entries.get(found.name)
@@ -219,26 +233,18 @@ class _Loop:
             return
 
     def _take(self, future: "Future[tuple[Entry, bytes | None]]", task: Task) -> bytes | None:
-        """Note what became of a file; return the state that the next one begins with.
-
-        Raises:
-            NoRoomError: the disk is full.
-        """
+        """Note what became of a file; return the state that the next one begins with."""
         state = task.state
         try:
             entry, state = future.result()
-            if state is not None:
-                self._make.state_of(task.name).write_bytes(state)
-            self._manifest.entries[task.name] = entry
-            self._done.replayed += 1
-            self._done.readings += entry.readings
+            self._note(task, entry, state)
         except AemdError as error:
             if isinstance(error, NoRoomError) or is_full(error):
-                raise NoRoomError(
-                    f"{self._make.folder.url}: no space left; {self._done.replayed + self._done.unchanged} of "
-                    f"{self._total} files are there and whole; make room, and run it again: it goes on from there"
-                ) from error
-            self._done.failed.append(str(error))
+                self._full = error
+                if future.exception() is None and state is not None:
+                    self._late.append((task, entry, state))
+            else:
+                self._done.failed.append(str(error))
         except BrokenExecutor:
             self._done.failed.append(f"{task.source.url}: its worker died, of memory perhaps; run it again")
         except Exception as error:  # noqa: BLE001 - a fault of one file, ours included, must not cost the others
@@ -248,6 +254,13 @@ class _Loop:
             self._manifest.save()
             self._saved_s = time.monotonic()
         return state
+
+    def _note(self, task: Task, entry: Entry, state: bytes | None) -> None:
+        if state is not None:
+            self._make.state_of(task.name).write_bytes(state)
+        self._manifest.entries[task.name] = entry
+        self._done.replayed += 1
+        self._done.readings += entry.readings
 
     def _kept_state(self, name: str, entry: Entry) -> bytes | None:
         """Return the state after a file as it was kept; None where it is gone or not the one of the manifest."""
