@@ -206,13 +206,19 @@ class _Server:
     def _open_or_shut(self) -> None:
         if self._bench.is_open == self._are_open:
             return
+        if self._are_open:
+            for door in self._doors:
+                if door.listener is not None:
+                    self._selector.unregister(door.listener)
+                    door.shut()
+        else:
+            try:
+                listeners = [door.open() for door in self._doors]
+            except OSError:  # while it was shut somebody took the number, for a connection of theirs: at the next look
+                return
+            for door, listener in zip(self._doors, listeners, strict=True):
+                self._selector.register(listener, selectors.EVENT_READ, door)
         self._are_open = not self._are_open
-        for door in self._doors:
-            if self._are_open:
-                self._selector.register(door.open(), selectors.EVENT_READ, door)
-            elif door.listener is not None:
-                self._selector.unregister(door.listener)
-                door.shut()
 
     def _accept(self, door: _Door) -> None:
         if door.listener is None:
@@ -221,9 +227,14 @@ class _Server:
             connection, address = door.listener.accept()
         except OSError:  # the client has already gone
             return
+        try:
+            conversation = door.greet()
+        except ConnectionRefusedError:  # the plug was pulled since this look began
+            connection.close()
+            return
         connection.settimeout(0)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self.add(connection, door.greet())
+        self.add(connection, conversation)
         _LOG.info("client connected address=%s:%d", *address[:2])
 
     def _receive(self, client: _Client) -> None:

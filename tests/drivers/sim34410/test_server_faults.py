@@ -3,6 +3,7 @@
 import socket
 import struct
 import time
+from contextlib import ExitStack, suppress
 
 import pytest
 import pyvisa
@@ -23,10 +24,11 @@ def port_of(resource: str) -> int:
 
 def wait_until(listens: bool, port: int) -> None:
     """Wait for the server's thread to have opened or shut its port."""
-    end_s = time.monotonic() + 10
+    end_s = time.monotonic() + 60
     while True:
         try:
-            socket.create_connection(("127.0.0.1", port), timeout=5).close()
+            # From an address of its own: a connection whose own number happens to be the port's would reach itself.
+            socket.create_connection(("127.0.0.1", port), timeout=60, source_address=("127.0.0.2", 0)).close()
             found = True
         except OSError:
             found = False
@@ -54,18 +56,49 @@ def test_nobody_listens_as_long_as_it_lasts_and_then_on_the_same_port_again(link
 @pytest.mark.parametrize("kind", ["close", "unplug", "power"])
 def test_connections_end(kind):
     bench = counting_bench(RunningClock(), [Fault(kind, at_s=1000.0, lasts_s=1000.0)])
-    with served(bench) as resources:
-        connections = [
-            socket.create_connection(("127.0.0.1", port_of(resources[link])), timeout=10)
+    with served(bench) as resources, ExitStack() as stack:
+        on_socket, on_vxi11 = (
+            stack.enter_context(socket.create_connection(("127.0.0.1", port_of(resources[link])), timeout=60))
             for link in ("socket", "vxi11")
-        ]
-        connections[0].sendall(b"*IDN?\n")
-        assert connections[0].recv(100).decode().strip() == IDENTITY
+        )
+        on_socket.sendall(b"*IDN?\n")
+        assert on_socket.recv(100).decode().strip() == IDENTITY
+        on_vxi11.sendall(struct.pack(">11I", 1 << 31 | 40, 7, 0, 2, 0x0607AF, 1, 0, 0, 0, 0, 0))  # a call of nothing
+        assert len(on_vxi11.recv(100)) == 28  # both were accepted
         bench.clock.move(1000.0)
 
-        for connection in connections:
-            with connection:
-                assert connection.recv(1) == b""
+        assert on_socket.recv(1) == b""
+        assert on_vxi11.recv(1) == b""
+
+
+class Sprung:
+    """A clock that jumps ahead by itself, while it is asked for the time the `calls`th time from now."""
+
+    def __init__(self) -> None:
+        self.now_ns = 10**12
+        self.calls = -1
+
+    def __call__(self) -> int:
+        self.calls -= 1
+        if self.calls == 0:
+            self.now_ns += 1000 * 10**9
+        return self.now_ns
+
+
+def test_a_plug_that_is_pulled_while_somebody_is_let_in_ends_the_connection_and_not_the_service():
+    ended = 0
+    for calls in range(1, 7):  # the third is between the look at the door and the new line
+        bench = counting_bench(Sprung(), [Fault("unplug", at_s=1000.0, lasts_s=500.0)])
+        with served(bench) as resources:
+            port = port_of(resources["socket"])
+            bench.clock.calls = calls
+            with suppress(ConnectionError), socket.create_connection(("127.0.0.1", port), timeout=60) as connection:
+                connection.sendall(b"*IDN?\n")
+                ended += connection.recv(100) == b""
+            bench.clock.now_ns += 1000 * 10**9
+            wait_until(True, port)
+
+    assert ended
 
 
 @pytest.mark.parametrize("link", ["socket", "vxi11", "usb", "serial"])
