@@ -11,7 +11,7 @@ from aemd.errors import InstrumentError
 from agilent34410 import Options
 from agilent34410.meter import open_instrument
 from sim34410 import Meter, MeterProperties
-from sim34410.bench import Bench
+from sim34410.bench import Bench, Link
 from sim34410.clock import SteppedClock
 from sim34410.faults import Fault
 from sim34410.simulated_link import SimulatedLink
@@ -167,6 +167,25 @@ def test_looks_that_are_asked_for_to_be_rare_are_rare_and_stamps_are_true_even_w
     assert passed.stream.turns < seconds / poll_s + 300
 
 
+@pytest.mark.parametrize("link", ["socket", "vxi11", "usb", "serial"])
+def test_once_the_clock_is_known_every_second_reading_is_looked_for_and_the_stamps_are_true(link: Link) -> None:
+    seconds = 90.0
+    passed = pass_through((), seconds, link=link, poll_s=0.0, clock_error_ppm=-100.0, clock_drift_ppm_per_day=5.0)
+    calm_looks = seconds / (2 * Options().interval_s)
+
+    assert judge(passed).breaches == 0
+    assert judge(passed).worst_ns < 500_000
+    # And at 2 ms for the second of readings that it takes to know the clock.
+    assert calm_looks <= passed.stream.turns < 1.01 * calm_looks + 500
+
+
+def test_looks_are_frequent_again_where_an_outage_has_left_the_clock_ill_known() -> None:
+    passed = pass_through([Fault("unplug", 30.0, lasts_s=900.0)], 960.0, poll_s=0.0, clock_error_ppm=100.0)
+
+    assert whole(passed)
+    assert judge(passed).breaches == 0
+
+
 def test_an_instrument_without_a_way_back_ends_the_acquisition() -> None:
     clock = SteppedClock()
     bench = Bench(Meter(Slope(), clock, MeterProperties(noise=False)), clock, [Fault("close", 5.0)])
@@ -241,7 +260,8 @@ def test_a_process_that_was_put_to_sleep_between_question_and_answer_does_not_ta
         return clock() > end_ns
 
     meter = open_instrument("SIM", Options(), clock, lambda: Line(bench, clock))
-    stream = Stream(meter, wait=wait, room=lambda: 1000, clock=clock, utc=clock)
+    # So often that most looks find nothing.
+    stream = Stream(meter, wait=wait, room=lambda: 1000, poll_s=0.02, clock=clock, utc=clock)
     index = np.concatenate([delivery.block["index"] for delivery in stream.deliveries()])
 
     assert slept

@@ -20,7 +20,7 @@ def main() -> int:
     parser.add_argument("--faults", type=int, default=1000)
     parser.add_argument("--hours", type=float, default=24.0)
     parser.add_argument("--link", choices=get_args(Link), default="socket")
-    parser.add_argument("--poll", type=float, metavar="S", help="between two looks; 3 s without, 0.0415 in earnest")
+    parser.add_argument("--poll", type=float, metavar="S", help="between two looks; 3 s without, 0 in earnest")
     parser.add_argument("--kind", choices=get_args(Kind), action="append")
     asked = parser.parse_args()
     breaches = 0

@@ -102,7 +102,7 @@ def pass_through(
         options: of the driver; None for its defaults, 14.9 Hz.
         link: the interface used.
         recording: where to record, or not.
-        poll_s: time between two looks; None for `LOOKS_EVERY` intervals; `choose_poll_s` gives the real ones.
+        poll_s: time between two looks; None for `LOOKS_EVERY` intervals; 0 for as `aemd acquire` does it.
         seed: of the link's latencies.
         utc_steps: (at_s, by_s): when the host's wall clock is set, and by how much.
         give_up_s: as in the config.
@@ -135,7 +135,9 @@ def pass_through(
 
     instrument = open_instrument("SIM", options, clock, open_line)
     poll_s = LOOKS_EVERY * instrument.interval_s if poll_s is None else poll_s
-    stream = Stream(instrument, wait=wait, room=lambda: ROOM, poll_s=poll_s, give_up_s=give_up_s, clock=clock, utc=utc)
+    stream = Stream(
+        instrument, wait=wait, room=lambda: ROOM, poll_s=poll_s or None, give_up_s=give_up_s, clock=clock, utc=utc
+    )
 
     def batches() -> Iterator[Batch]:
         for delivery in stream.deliveries():
