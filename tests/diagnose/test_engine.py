@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aemd.diagnose import COVERED, NOT_COVERED, Finding, Gain, Value, criticise, diagnose, engine
+from aemd.diagnose import COVERED, NOT_COVERED, Finding, Gain, Value, criticise, diagnose
+from aemd.diagnose.findings import judge
 from aemd.diagnose.naming import Named
 from aemd.errors import RecordingError
 from aemd.report import as_json
@@ -110,7 +111,7 @@ def test_what_is_refused_a_name_stays_in_the_model_and_does_not_hide_the_rest():
 
 
 def test_no_name_is_claimed_that_predicts_held_out_blocks_worse():
-    judged, stays = engine._judge(finding_of("resonance", Gain(-1e-3, -4.0, -14.0, 6.0)), named())
+    judged, stays = judge(finding_of("resonance", Gain(-1e-3, -4.0, -14.0, 6.0)), named())
 
     assert (judged.cause, stays) == ("unexplained", False)
     assert "looks most like resonance, which fits but does not predict held-out blocks (-4.0 nats)" in judged.experiment
@@ -119,12 +120,12 @@ def test_no_name_is_claimed_that_predicts_held_out_blocks_worse():
 
 def test_what_is_just_large_enough_to_be_seen_keeps_its_name():
     """Of 12 nats found, some 4 on held-out blocks with deviation 5 is what one must expect."""
-    assert engine._judge(finding_of("resonance", Gain(1e-3, 4.0, -6.0, 14.0)), named())[0].cause == "resonance"
+    assert judge(finding_of("resonance", Gain(1e-3, 4.0, -6.0, 14.0)), named())[0].cause == "resonance"
 
 
 def test_a_witness_that_comes_after_the_reading_is_no_cause():
     late = {"lag_s": Value(-58.0, -60.0, -56.0, "s")}
-    judged, stays = engine._judge(finding_of("latency", Gain(1e-2, 40.0, 20.0, 60.0), late), named())
+    judged, stays = judge(finding_of("latency", Gain(1e-2, 40.0, 20.0, 60.0), late), named())
 
     assert (judged.cause, stays) == ("unexplained", False)
 

@@ -1,0 +1,124 @@
+"""The rounds: check what is left, fit what could explain it, add the best, until nothing is left or it costs too much.
+
+Holm's procedure over the checks of a round, 0.3 % in the first and half as much in each further one.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import count
+
+from aemd.diagnose.checks.local import best_hump
+from aemd.diagnose.checks.residuals import check_all
+from aemd.diagnose.evidence import Evidence
+from aemd.diagnose.figures import rival_figures
+from aemd.diagnose.fit import Fit, restart_base
+from aemd.diagnose.given import Given
+from aemd.diagnose.hypothesis import Term
+from aemd.diagnose.naming import Named, name
+
+__all__ = ["LEAST_NATS", "Searched", "search"]
+
+Progress = Callable[[str], None]
+
+_LEVEL = 0.003
+"""Family-wise probability of any finding on a clean record, first round."""
+_MOST_FINDINGS = 6
+"""After so many terms the search stops and says so; on a record that has more, the first are worth the most by far."""
+_HEAVIEST = 8.0
+_LIGHT = 1.4e7
+"""Times the base's cost of a step of the fit, (states + 1)^2 free numbers, from which no term is added any more, unless
+the step costs less than so many over all readings: each resonance brings two states and three numbers. A bound on work
+and not on time, so that an answer does not depend on what else the machine does."""
+LEAST_NATS = 4.0
+"""Log-likelihood that a term must add to be called an explanation: what a check sees and no term can use is
+`unexplained`."""
+_HUMPED = ("nonlinearity", "popcorn_noise", "shock_law", "ring_down")
+"""What one hump of the mean passes for: beside these it is fitted as well."""
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """What the rounds came to."""
+
+    base: Fit
+    fit: Fit
+    """Base and terms."""
+    named: list[tuple[Evidence, Named]]
+    """The terms, each with the check that asked for it."""
+    without_last: Fit
+    """Before the last term was added."""
+    seen: list[Evidence]
+    """What the base fails."""
+    left: list[Evidence]
+    """What base and terms fail."""
+    evidence: list[Evidence]
+    """Of every check on what they leave."""
+    stopped: str
+    """Why no term was sought for what is left, in words; empty where one was."""
+
+
+def search(base: Fit, line_frequency_hz: float | None, tell: Progress) -> Searched:
+    """Add terms to a base until its residuals pass every check.
+
+    Args:
+        base: the hypothesis under criticism.
+        line_frequency_hz: of the mains, where it is known.
+        tell: called with a few words at each step.
+    """
+    fit, before, named, seen, left = base, base, list[tuple[Evidence, Named]](), list[Evidence](), list[Evidence]()
+    stopped, evidence = "", list[Evidence]()
+    for number in count():
+        tell(f"checking the residuals, round {number + 1}")
+        evidence = check_all(fit, line_frequency_hz)
+        left = _significant(evidence, _LEVEL / 2**number)
+        seen = seen or left
+        stopped = _stop(fit, base, number) if left else ""
+        if not left or stopped:
+            break
+        tell(f"fitting what could explain: {left[0].check}")
+        found = name(fit, _candidates(fit, left), LEAST_NATS)
+        if found is None:
+            break
+        named.append((_nominating(left, found), found))
+        before, fit = fit, restart_base(found.fit)
+    return Searched(base, fit, named, before, seen, left, evidence, stopped)
+
+
+def _candidates(fit: Fit, left: list[Evidence]) -> list[Term]:
+    """Return the terms that the checks ask for, and what else looks like them."""
+    candidates = [term for item in left for term in item.terms]
+    hump = best_hump(fit) if any(term.cause in _HUMPED for term in candidates) else None
+    candidates += [hump] if hump else []
+    if isinstance(fit.terms[0], Given):
+        candidates += rival_figures(fit)
+    return candidates
+
+
+def _nominating(left: list[Evidence], found: Named) -> Evidence:
+    """Return the most surprising of the checks that asked for what was found."""
+    asked = (item for item in left if any(term.cause == found.term.cause for term in item.terms))
+    return next(asked, left[0])
+
+
+def _significant(evidence: list[Evidence], level: float) -> list[Evidence]:
+    """Return what is left by Holm's procedure, most surprising first."""
+    ranked = sorted(evidence, key=lambda item: item.p_value)
+    for number, item in enumerate(ranked):
+        if item.p_value * (len(ranked) - number) > level:
+            return ranked[:number]
+    return ranked
+
+
+def _stop(fit: Fit, base: Fit, found: int) -> str:
+    """Return why no further term is sought, in words; empty where one is."""
+    if found >= _MOST_FINDINGS:
+        return f"the search stops after {found} findings"
+    if _weight(fit) > max(_HEAVIEST * _weight(base), _LIGHT / fit.data.n):
+        return (
+            f"the search stops after {found} findings, as the model has grown too large to be fitted in reasonable time"
+        )
+    return ""
+
+
+def _weight(fit: Fit) -> float:
+    return float((len(fit.states) + 1) ** 2 * max(fit.theta.size, 6))
