@@ -72,13 +72,15 @@ class EmFilter:
             curve=curve,
             slopes=slopes,
             slope_unit_V=float(slope_unit_V),
-            likelihood_unit_V=float(options.likelihood_unit_V),
-            stored_prior=options.prior == "stored",
-            smoothed=options.e_step == "smoothed",
-            by_likelihood=options.stop_rule == "likelihood",
-            delta=float(options.delta),
-            r_max=options.r_max,
             coast=options.holes == "coast",
+            passes=kernels.PassRule(
+                likelihood_unit_V=float(options.likelihood_unit_V),
+                stored_prior=options.prior == "stored",
+                smoothed=options.e_step == "smoothed",
+                by_likelihood=options.stop_rule == "likelihood",
+                delta=float(options.delta),
+                r_max=options.r_max,
+            ),
         )
         self._state = kernels.start_aem(self._model, self._rule)
         self.push(np.empty(0, dtype=READING))  # compiles now, or loads what was compiled, not at the first reading
