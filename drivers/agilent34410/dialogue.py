@@ -214,11 +214,13 @@ class Dialogue:
         self._is_anothers = False
 
     def farewell(self, command: str) -> None:
-        """Leave the masks as they are found at power on, and say one last thing."""
+        """If it is ours still, stop the meter, leave the masks as at power on, and say one last thing."""
         if self._link.is_open and self._in_step:
             with suppress(InstrumentError):
-                self._link.query(f"{_NUMBER} 0;:{_JOURNAL} 0;:ABOR;:DISP ON;*OPC?")  # heard before the link goes
-                self._link.write(command)
+                (entry,) = self._integers(self.ask(f"{_JOURNAL}?"), f"{_JOURNAL}?", 1)
+                if entry == self._entry:
+                    self._link.query(f"{_NUMBER} 0;:{_JOURNAL} 0;:ABOR;:DISP ON;*OPC?")  # heard before the link goes
+                    self._link.write(command)
         self._link.close()
 
     def close(self) -> None:
@@ -231,6 +233,7 @@ class Dialogue:
         question = f"{_NUMBER} {ALL_BITS};:{_JOURNAL} {ALL_BITS};:{_NUMBER}?;:{_JOURNAL}?"
         masks = self._integers(self._link.query(question), question, 2)
         self._numbers, self._journal_numbers = (_numbers_within(mask) for mask in masks)
+        self._entry = masks[1]
         if min(len(self._numbers), len(self._journal_numbers)) < 1 << FEWEST_BITS:
             raise OtherInstrumentError(
                 f"{self.resource}: {question}: the answer {masks} shows status registers without room for numbers;"

@@ -12,7 +12,8 @@ What was measured of pyvisa-py 0.8 and is guarded against here:
 - Clearing a socket whose other end is closed never returns. So a socket is drained here, with an end in sight.
 - VXI-11 connects within 100 ms unless told otherwise. So the open timeout is always given.
 - A VXI-11 read subtracts the time so far once for each piece. So a block is asked for in one piece, and is small.
-- A VXI-11 link that cannot be made leaves its socket to the garbage collector. So the socket is closed here.
+- A VXI-11 link that cannot be made leaves its socket to the garbage collector, and takes 5 s to be given up where the
+  other end hangs up. So the socket is closed here, and the door is tried first (`agilent34410.knock`).
 - Closing a VXI-11 link to a dead peer blocks for 5 s. So a dead link's socket is shut before it is closed.
 - USB-TMC has no clear. So it is written out (`agilent34410.usbtmc`).
 - Without the socket option TCP_NODELAY, which has no VISA attribute that works, a question after a mere command waits
@@ -35,10 +36,11 @@ import pyvisa
 from pyvisa.constants import InterfaceType, StatusCode
 from pyvisa.errors import VisaIOError
 from pyvisa.resources import MessageBasedResource
-from pyvisa.rname import InvalidResourceName, ResourceName
+from pyvisa.rname import InvalidResourceName
 
 from aemd.acquire.reach import name_obstacle
 from aemd.errors import InstrumentError
+from agilent34410.knock import knock
 from agilent34410.socket_reader import SilenceError, SocketReader, count_digits, read_size
 from agilent34410.usbtmc import clear_usbtmc
 
@@ -161,7 +163,7 @@ class _VisaLink:
         attributes = serial if resource.upper().startswith("ASRL") else {}
         manager = _manager.enter()
         try:
-            _find_host(resource)
+            knock(resource, timeout_s)
             opened = manager.open_resource(resource, open_timeout=timeout_ms, **attributes)
         except Exception as error:
             _close_sockets_left_by(error)
@@ -331,13 +333,6 @@ class _VisaLink:
             session.close()
         self._inner = None
         _manager.leave()
-
-
-def _find_host(resource: str) -> None:
-    """Look the resource's host up, if it has one: pyvisa-py leaves a socket open when it cannot find it."""
-    host = getattr(ResourceName.from_string(resource), "host_address", None)
-    if host is not None:
-        socket.getaddrinfo(host.partition(",")[0], None)
 
 
 def _read_stream(session: MessageBasedResource, most: int) -> tuple[bytes, bytes]:

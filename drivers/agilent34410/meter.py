@@ -172,20 +172,14 @@ class Meter:
             self._errors_asked_ns = asked_ns
             self._messages += self._take_errors()  # before the readings: these must not be lost with them
             asked_ns = self._clock()
-        self._events_unseen = True
-        look = self._dialogue.look()
+        waiting = self._look()
         answered_ns = self._clock()
-        # A memory that was full when an answer was lost is full still, and that answer may have told why.
-        full = look.waiting >= self.memory_readings
-        self._overflowed |= bool(look.questionable & MEMORY_OVERFLOW) or (full and self._lost_events)
-        self._late |= bool(look.questionable & TIMING_VIOLATION)
-        self._events_unseen = self._lost_events = False
-        count = min(most, look.waiting)
+        count = min(most, waiting)
         values_V, status = _decode(self._dialogue.take(count) if count > 0 else b"")
         drain = Drain(
             values_V=values_V,
             status=status,
-            waiting=look.waiting,
+            waiting=waiting,
             asked_ns=asked_ns,
             answered_ns=answered_ns,
             received_ns=self._clock(),
@@ -201,8 +195,9 @@ class Meter:
         """End sampling; the memory stays readable.
 
         Raises:
-            InstrumentError: the link failed.
+            InstrumentError: the link failed, or the meter is not ours to stop: another program took it over.
         """
+        self._look()
         self._dialogue.command("ABOR")
 
     def recover(self, *, afresh: bool = False) -> Recovery:
@@ -236,11 +231,25 @@ class Meter:
         )
 
     def close(self) -> None:
-        """Stop, light the display, unlock the front panel, close the link; a dead link is no reason to complain."""
+        """Stop, light the display, unlock the front panel, close the link; a dead link is no reason to complain.
+
+        A meter that another program took over meanwhile is left as it is.
+        """
         if self._closed:
             return
         self._closed = True
         self._dialogue.farewell("SYST:LOC")
+
+    def _look(self) -> int:
+        """Return how many readings wait, and keep in mind what else the look found."""
+        self._events_unseen = True
+        look = self._dialogue.look()
+        # A memory that was full when an answer was lost is full still, and that answer may have told why.
+        full = look.waiting >= self.memory_readings
+        self._overflowed |= bool(look.questionable & MEMORY_OVERFLOW) or (full and self._lost_events)
+        self._late |= bool(look.questionable & TIMING_VIOLATION)
+        self._events_unseen = self._lost_events = False
+        return look.waiting
 
     def _read_settings(self) -> dict[str, str]:
         return {question: self._dialogue.ask(question) for question in _questions(self._options)}

@@ -147,8 +147,10 @@ class _Server:
         self._stopper, self._stopped = socket.socketpair()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._stopped, selectors.EVENT_READ)
-        self._are_open = False
-        self._open_or_shut()
+        for door in doors:
+            self._selector.register(door.open(), selectors.EVENT_READ, door)
+        self._are_open = True
+        self._open_or_shut()  # the plug may be out from the beginning
 
     def add(self, channel: "socket.socket | int", conversation: Conversation) -> None:
         """Take a client: a socket, or a file that is read and written."""

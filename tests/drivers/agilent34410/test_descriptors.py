@@ -52,7 +52,7 @@ def nothing_left(act: Callable[[], object]) -> Iterator[None]:
     gc.disable()
     try:
         yield
-        end_s = time.monotonic() + 5.0  # a server hears of a hang-up in its own time
+        end_s = time.monotonic() + 60.0  # a server hears of a hang-up in its own time
         while len(descriptors()) > len(before) or threading.active_count() > threads:
             assert time.monotonic() < end_s, (set(descriptors().items()) - set(before.items()), threading.enumerate())
             time.sleep(0.01)
@@ -65,7 +65,7 @@ def test_a_link_that_was_used_and_closed_leaves_nothing_open(link: str) -> None:
     with served(counting_bench(time.monotonic_ns)) as resources:
 
         def use() -> None:
-            with closing(open_link(resources[link], 2.0, OPTIONS.serial_line)) as line:
+            with closing(open_link(resources[link], 60.0, OPTIONS.serial_line)) as line:
                 line.query("*IDN?")
 
         with nothing_left(use):
@@ -73,11 +73,8 @@ def test_a_link_that_was_used_and_closed_leaves_nothing_open(link: str) -> None:
                 use()
 
 
-# Not VXI-11 unplugged: each attempt to open it costs pyvisa-py 5 s; `test_real_links` has one.
-@pytest.mark.parametrize(
-    ("kind", "link"),
-    [*(("silent", link) for link in LINKS), ("unplug", "socket"), ("unplug", "usb"), ("unplug", "serial")],
-)
+@pytest.mark.parametrize("link", LINKS)
+@pytest.mark.parametrize("kind", ["silent", "unplug"])
 def test_a_link_that_failed_leaves_nothing_open(kind: Kind, link: str) -> None:
     with served(counting_bench(time.monotonic_ns, [Fault(kind, at_s=0.0, lasts_s=1e6)])) as resources:
 

@@ -190,6 +190,32 @@ def test_a_meter_that_another_of_ours_took_over_is_left_to_it_until_it_reads_no_
     assert driven.drain(10).values_V.size == 3  # the first at once
 
 
+def test_a_meter_that_another_took_over_since_the_last_look_is_neither_stopped_nor_spoken_to_at_the_end(
+    driven: Driven, bench: Bench, clock: SteppedClock, open_line: Callable[[], Line]
+) -> None:
+    other = open_instrument("SIM", OPTIONS, clock, open_line, clock.sleep)
+    other.start()
+    SimulatedLink(bench, clock).query("DISP OFF;*STB?")
+    Line.said.clear()
+    with pytest.raises(InstrumentError, match="another program uses it"):
+        driven.stop()
+    driven.close()
+
+    assert not [command for command in Line.said if "ABOR" in command or "DISP" in command]
+    assert other.recover().sampling
+    assert not bench.meter.display.on
+
+
+def test_a_close_without_a_stop_looks_whose_the_meter_is(
+    driven: Driven, clock: SteppedClock, open_line: Callable[[], Line]
+) -> None:
+    other = open_instrument("SIM", OPTIONS, clock, open_line, clock.sleep)
+    other.start()
+    driven.close()
+
+    assert other.recover().sampling
+
+
 def test_a_journal_begun_by_an_answer_that_was_lost_is_known_as_ours(driven: Driven) -> None:
     Line.loses = "STAT:OPER:ENAB"
     with pytest.raises(InstrumentError):
