@@ -16,6 +16,8 @@ from agilent34410 import Options
 from agilent34410.meter import _decode as decode
 from tests.drivers.agilent34410.bench import FAST, HandClock, Ramp, served, stranger, unused_resource
 
+PATIENT = Options(timeout_s=60.0)
+
 
 @contextmanager
 def started(
@@ -25,7 +27,8 @@ def started(
     clock = HandClock()
     with (
         served(clock, source, **properties) as (resource, meter),
-        closing(agilent34410.open_instrument(resource, options, clock)) as instrument,
+        # However slow the machine, an answer is waited for.
+        closing(agilent34410.open_instrument(resource, replace(options, timeout_s=60.0), clock)) as instrument,
     ):
         instrument.start()
         yield instrument, meter, clock
@@ -180,7 +183,7 @@ def test_errors_that_an_earlier_program_left_are_told_of_though_the_set_up_clear
     clock = HandClock()
     with served(clock) as (resource, meter):
         meter.report(-113)
-        with closing(agilent34410.open_instrument(resource, Options(), clock)) as instrument:
+        with closing(agilent34410.open_instrument(resource, PATIENT, clock)) as instrument:
             instrument.start()
 
             assert instrument.drain(1).messages == ('before it was set up: -113,"Undefined header"',)
@@ -219,7 +222,7 @@ def test_stopping_keeps_the_rest_in_the_memory_to_be_drained() -> None:
 
 def test_closing_stops_the_meter_and_lights_its_display() -> None:
     with served() as (resource, meter):
-        instrument = agilent34410.open_instrument(resource, FAST, HandClock())
+        instrument = agilent34410.open_instrument(resource, replace(FAST, timeout_s=60.0), HandClock())
         instrument.start()
         assert not meter.display.on
         instrument.close()
@@ -246,7 +249,7 @@ def test_closing_stops_the_meter_and_lights_its_display() -> None:
 )
 def test_an_interval_that_cannot_be_kept_is_refused_with_the_arithmetic(options: Options, message: str) -> None:
     with served() as (resource, meter), pytest.raises(InstrumentError) as caught:
-        agilent34410.open_instrument(resource, options, HandClock())
+        agilent34410.open_instrument(resource, replace(options, timeout_s=60.0), HandClock())
 
     assert str(caught.value) == f"{resource}: {message}"
     assert meter.display.on
@@ -258,7 +261,7 @@ def test_a_setting_that_the_meter_refuses_is_named_with_the_meters_words() -> No
         served() as (resource, _),
         pytest.raises(InstrumentError, match=r"VOLT:DC:APER 2e-05: the meter refused: -222"),
     ):
-        agilent34410.open_instrument(resource, Options(aperture_s=20e-6), HandClock())
+        agilent34410.open_instrument(resource, replace(PATIENT, aperture_s=20e-6), HandClock())
 
 
 @pytest.mark.parametrize(
@@ -280,7 +283,7 @@ def test_another_instrument_is_refused_by_name_and_told_nothing_more(answer: str
         stranger(reply) as resource,
         pytest.raises(InstrumentError, match=re.escape(f"this is '{answer}'") + ".*" + re.escape(why)),
     ):
-        agilent34410.open_instrument(resource, Options(), HandClock())
+        agilent34410.open_instrument(resource, PATIENT, HandClock())
     assert heard == [b"*IDN?"]
 
 

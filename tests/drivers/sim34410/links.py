@@ -68,13 +68,18 @@ class Visa:
         self.manager = manager
         self.sessions: list[MessageBasedResource] = []
 
-    def open(self, resource: str, timeout_s: float = 5.0) -> MessageBasedResource:
+    def open(self, resource: str, timeout_s: float = 60.0) -> MessageBasedResource:
         session = self.manager.open_resource(
-            resource, open_timeout=2000, write_termination="\n", read_termination="\n", timeout=timeout_s * 1000
+            resource, open_timeout=60_000, write_termination="\n", read_termination="\n", timeout=timeout_s * 1000
         )
         session.chunk_size = 1 << 20
         self.sessions.append(session)
         return session
+
+
+def wait_long(session: MessageBasedResource) -> None:
+    """Have a session that was to meet silence wait for the answers that do come, however slow the machine."""
+    session.timeout = 60_000
 
 
 def read_block(session: MessageBasedResource, question: str) -> np.ndarray:

@@ -85,7 +85,7 @@ def test_pyvisa_reads_a_block(resource):
 
 def test_a_plain_socket_will_do(resource):
     _, host, port, _ = resource.split("::")
-    with socket.create_connection((host, int(port)), timeout=5) as connection, connection.makefile("rw") as file:
+    with socket.create_connection((host, int(port)), timeout=60) as connection, connection.makefile("rw") as file:
         file.write("meas:volt:dc?\n")
         file.flush()
         assert float(file.readline()) == pytest.approx(LEVEL_V)

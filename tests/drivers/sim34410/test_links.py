@@ -6,7 +6,16 @@ import pyvisa
 from pyvisa.constants import BufferOperation, StatusCode
 
 from sim34410 import Fault
-from tests.drivers.sim34410.links import FULL, HandClock, RunningClock, counting_bench, read_block, served, visa
+from tests.drivers.sim34410.links import (
+    FULL,
+    HandClock,
+    RunningClock,
+    counting_bench,
+    read_block,
+    served,
+    visa,
+    wait_long,
+)
 
 LINKS = ["socket", "vxi11", "usb", "serial"]
 IDENTITY = "Agilent Technologies,34410A,MY47006594,2.35-2.35-0.09-46-09"
@@ -61,6 +70,7 @@ def test_after_a_timeout_and_a_clear_question_and_answer_are_in_step_again(link)
         line = lines.open(resources[link], timeout_s=0.2)
         with pytest.raises(pyvisa.VisaIOError) as caught:
             line.query("*IDN?")
+        wait_long(line)
         bench.clock.move(1000.0)
         lines.open(resources["socket"]).query("*STB?")  # now the server has sent it
         if link == "usb":  # pyvisa-py has no clear for it; the transfer was aborted when it timed out
@@ -81,6 +91,7 @@ def test_a_late_answer_on_a_socket_is_taken_for_the_next_one_unless_it_is_cleare
         line = lines.open(resources["socket"], timeout_s=0.2)
         with pytest.raises(pyvisa.VisaIOError):
             line.query("*IDN?")
+        wait_long(line)
         bench.clock.move(2.0)
 
         assert line.query("SYST:VERS?") == IDENTITY
@@ -112,6 +123,7 @@ def test_reading_what_was_not_asked_for_is_an_error_and_a_timeout(link):
         line = lines.open(resources[link], timeout_s=0.1)
         with pytest.raises(pyvisa.VisaIOError):
             line.read()
+        wait_long(line)
 
         assert line.query("SYST:ERR?") == '-420,"Query UNTERMINATED"'  # IEEE 488.2, 6.3.2.2
 

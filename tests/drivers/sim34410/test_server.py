@@ -21,7 +21,7 @@ class Client:
     def __init__(self, resource):
         _, host, port, kind = resource.split("::")
         assert kind == "SOCKET"
-        self.socket = socket.create_connection((host, int(port)), timeout=10)
+        self.socket = socket.create_connection((host, int(port)), timeout=60)
         self.file = self.socket.makefile("rb")
 
     def tell(self, message):
@@ -80,11 +80,12 @@ def test_an_answer_does_not_wait_for_the_next_idle_look():
     with served() as connect:
         client = connect()
         client.ask("*IDN?")
+        client.ask("VOLT:NPLC 0.02;*STB?")
         before_s = time.monotonic()
-        for _ in range(4):
-            client.ask("READ?")  # 40 ms each; 500 ms between idle looks
+        for _ in range(20):
+            client.ask("READ?")  # 1 ms each; 500 ms between idle looks
 
-        assert time.monotonic() - before_s < 1.5
+        assert time.monotonic() - before_s < 8.0
 
 
 def test_others_are_served_while_one_waits():
