@@ -18,6 +18,10 @@ _LOOK_S = 0.1  # how often a caller that waits for a full queue looks whether th
 
 
 class _ClosableSink(Protocol):
+    @property
+    def due_in_s(self) -> float:
+        """How soon it wants to look at its clock, s, by an empty batch if nothing comes."""
+
     def write(self, batch: Batch, estimates: Estimates) -> None:
         """Take one batch."""
 
@@ -43,7 +47,7 @@ class Background:
     """Runs `write` of a sink in a named thread, behind a bounded queue that blocks when it is full and never drops.
 
     What the sink raises ends its thread, and is raised here by every later `write`, or by `close`. While nothing comes
-    the sink gets an empty batch from time to time, so that it can look at its clock.
+    the sink gets an empty batch from time to time, and when it is due, so that it can look at its clock.
     """
 
     def __init__(
@@ -148,6 +152,6 @@ class Background:
 
     def _next(self) -> tuple[Batch, Estimates, Mapping[str, Any] | None] | None:
         try:
-            return self._queue.get(timeout=self._tick_s)
+            return self._queue.get(timeout=min(self._tick_s, self._sink.due_in_s))
         except Empty:
             return Batch(np.empty(0, READING)), np.empty(0, ESTIMATE), None

@@ -11,6 +11,7 @@ Nothing here ends an acquisition. A file that is left for want of room is finish
 end; one that cannot be finished stays .active, for `recover`.
 """
 
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -142,6 +143,12 @@ class Rollover:
     def not_written(self) -> int:
         """Readings that were taken and will be in no file."""
         return self._missed + sum(self._left_over)
+
+    @property
+    def due_in_s(self) -> float:
+        """How long what waits for the disk may go on waiting, s; infinite where nothing does."""
+        recorder = self._recorder
+        return math.inf if recorder is None else recorder.due_in_s
 
     @property
     def wants_state(self) -> bool:

@@ -4,6 +4,7 @@ A chunk is closed after an interval (live, so that a crash costs no more than th
 a file, only). What is written by size only does not depend on how the stream was cut into batches.
 """
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -85,6 +86,8 @@ class Recorder:
         self._waiting_bytes = 0
         self._rows = EMPTY  # encoded, and too few for a chunk
         self._due_ns = 0
+        self._flushed_ns: int | None = None
+        """When all that had come was last taken to be written: whatever waits has come since."""
         self._log_time_ns = 0
         self._counts = Counts(description.first_index)
         self._written = Counts(description.first_index)
@@ -161,6 +164,13 @@ class Recorder:
         """The file as it is named while it grows."""
         return self._file.active
 
+    @property
+    def due_in_s(self) -> float:
+        """How long what waits may go on waiting, s: an empty `write` is due then; infinite where nothing waits."""
+        if self._flush_interval_ns is None or not (self._waiting or len(self._rows.start)):
+            return math.inf
+        return max(0, self._due_ns - self._clock()) * 1e-9
+
     def write(self, batch: Batch, estimates: Estimates) -> None:
         """Take one batch and the estimates that became ready with it; an empty batch only looks at the clock.
 
@@ -171,13 +181,16 @@ class Recorder:
             raise RecordingError(f"{self._file.path}: is closed: nothing can be added; start another recording")
         if len(batch.readings) or len(estimates) or batch.events or batch.witnesses:
             if self._flush_interval_ns is not None and not self._waiting and not len(self._rows.start):
-                self._due_ns = self._clock() + self._flush_interval_ns
+                since_ns = self._clock() if self._flushed_ns is None else self._flushed_ns
+                self._due_ns = since_ns + self._flush_interval_ns
             if length := self._bytes_of(batch, estimates):
                 self._waiting.append((batch, estimates))
                 self._waiting_bytes += length
             self._counts.add(batch, estimates)
             self._unwritten.add(batch)
-        due = self._flush_interval_ns is not None and self._clock() >= self._due_ns
+        due = self._flush_interval_ns is not None and (now_ns := self._clock()) >= self._due_ns
+        if due:
+            self._flushed_ns = now_ns
         if due or self._waiting_bytes + len(self._rows.octets) >= self._chunk_bytes:
             self._write_chunks(to_the_last=due)
 

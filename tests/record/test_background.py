@@ -1,3 +1,4 @@
+import math
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,6 +27,7 @@ class _Gate:
         self.threads: set[str] = set()
         self.empty = threading.Event()
         self.closed = False
+        self.due_in_s = math.inf
 
     def write(self, batch: Batch, estimates: Estimates) -> None:
         if not len(batch.readings):
@@ -116,3 +118,12 @@ def test_a_sink_to_which_nothing_comes_may_look_at_its_clock() -> None:
     assert sink.empty.wait(10)
     background.discard()
     assert sink.closed
+
+
+def test_a_sink_that_is_due_is_not_left_to_wait_for_the_next_batch() -> None:
+    sink = _Gate()
+    sink.due_in_s = 0.01
+    background = Background(sink, tick_s=60.0)
+
+    assert sink.empty.wait(10)
+    background.discard()

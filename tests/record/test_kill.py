@@ -5,7 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from aemd.replay import replay
 
 FLUSH_S = 0.5
 BOUND_S = 0.25
-"""Beyond the flush interval: a look at the instrument, a batch on its way, a look at the writer's clock."""
+"""Beyond the flush interval: two readings for a look at the instrument, their aperture, a batch on its way."""
 STEP_V, STEPS = 1e-4, 5000
 
 CONFIG = """
@@ -58,21 +58,42 @@ def _acquiring(folder: Path, rate: str) -> Iterator[subprocess.Popen[bytes]]:
         process.wait()
 
 
-def _kill(folder: Path, rate: str, after_s: float) -> tuple[Path, int]:
-    """Kill it so long after its first flush; return what it left, and when that was, ns UTC."""
+def _withheld_s(process: subprocess.Popen[bytes]) -> float:
+    """Return what the machine has kept from it so far, s: each thread's wait for a processor, and any wait for a disk.
+
+    On a machine that has nothing else to do that is some milliseconds a second.
+    """
+    waited_ns = 0
+    for task in Path(f"/proc/{process.pid}/task").glob("*/schedstat"):
+        with suppress(OSError):  # a thread that has just ended
+            waited_ns += int(task.read_text().split()[1])
+    disk_us = 0
+    with suppress(OSError):  # a kernel that does not count it
+        disk_us = int(Path("/proc/pressure/io").read_text().split("total=")[1].split()[0])
+    return waited_ns * 1e-9 + disk_us * 1e-6
+
+
+def _kill(folder: Path, rate: str, after_s: float) -> tuple[Path, int, float]:
+    """Kill it so long after its first flush.
+
+    Returns:
+        What it left, when that was, ns UTC, and what the machine had kept from it since its file was there, s.
+    """
+    withheld_s = None
     with _acquiring(folder, rate) as process:
-        deadline = time.monotonic() + 60
         while True:
             found = list(folder.glob("*.mcap.active"))
+            if found and withheld_s is None:
+                withheld_s = _withheld_s(process)
             if found and b"\x04\0\0\0zstd" in found[0].read_bytes():
                 break
             assert process.poll() is None
-            assert time.monotonic() < deadline, "it never flushed"
             time.sleep(0.01)
         time.sleep(after_s)  # the moment is the point of the test
+        withheld_s = _withheld_s(process) - withheld_s
+        killed_ns = time.time_ns()  # before: nobody is held to what the killer is late
         process.send_signal(signal.SIGKILL)
-        killed_ns = time.time_ns()
-    return found[0], killed_ns
+    return found[0], killed_ns, withheld_s
 
 
 def _lost_s(active: Path, killed_ns: int, rate: str) -> float:
@@ -98,24 +119,25 @@ def _lost_s(active: Path, killed_ns: int, rate: str) -> float:
 
 @pytest.mark.parametrize(("rate", "after_s"), [("15 Hz", 0.31), ("15 Hz", 0.93), ("10 kS/s", 0.08), ("10 kS/s", 0.67)])
 def test_after_a_kill_every_flushed_reading_is_back(rate: str, after_s: float, tmp_path: Path) -> None:
-    active, killed_ns = _kill(tmp_path, rate, after_s)
+    active, killed_ns, withheld_s = _kill(tmp_path, rate, after_s)
 
-    lost_s = _lost_s(active, killed_ns, rate)
-
-    assert lost_s < FLUSH_S + BOUND_S + 1.0  # where other tests have the processor, too
+    assert _lost_s(active, killed_ns, rate) < FLUSH_S + BOUND_S + withheld_s
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(3600)
+@pytest.mark.timeout(4 * 3600)
 @pytest.mark.parametrize("rate", RATES)
 def test_after_a_hundred_kills_no_more_than_the_bound_is_lost(rate: str, tmp_path: Path) -> None:
-    """On a machine that has nothing else to do."""
     rng = np.random.default_rng(1)
-    lost_s = []
+    lost_s, withheld_s = np.empty(100), np.empty(100)
     for number in range(100):
         folder = tmp_path / str(number)
         folder.mkdir()
-        lost_s.append(_lost_s(*_kill(folder, rate, float(rng.uniform(0, 1.5))), rate))
-    print(f"\n{rate}: lost up to {max(lost_s):.3f} s of readings, median {np.median(lost_s):.3f} s")
+        active, killed_ns, withheld_s[number] = _kill(folder, rate, float(rng.uniform(0, 1.5)))
+        lost_s[number] = _lost_s(active, killed_ns, rate)
+    print(
+        f"\n{rate}: lost up to {lost_s.max():.3f} s of readings, median {np.median(lost_s):.3f} s; in each the machine"
+        f" kept back {np.median(withheld_s):.3f} s, up to {withheld_s.max():.3f} s"
+    )
 
-    assert max(lost_s) < FLUSH_S + BOUND_S
+    assert (lost_s < FLUSH_S + BOUND_S + withheld_s).all()

@@ -1,4 +1,5 @@
 import fcntl
+import math
 import resource
 import struct
 import zlib
@@ -164,6 +165,25 @@ def test_a_reading_waits_no_longer_than_the_flush_interval(tmp_path: Path) -> No
     after = readable()
 
     assert (before, at_once, after) == (0, 2, 2)
+
+
+def test_what_came_while_the_disk_was_slow_waits_no_longer_for_that(tmp_path: Path) -> None:
+    now_ns = 0
+    recorder = Recorder(tmp_path / "r.mcap", DESCRIPTION, flush_interval_s=1.0, clock=lambda: now_ns)
+    readings = readings_of(2)
+    recorder.write(Batch(readings[:1]), NOTHING[1])
+    now_ns = 1_000_000_000
+    recorder.write(*NOTHING)
+    at_rest_s = recorder.due_in_s
+    now_ns = 1_400_000_000  # it came at any time since, and waited for the disk as the flush did
+    recorder.write(Batch(readings[1:]), NOTHING[1])
+    due_in_s = recorder.due_in_s
+    now_ns = 2_000_000_000
+    recorder.write(*NOTHING)
+
+    assert (at_rest_s, due_in_s) == (math.inf, pytest.approx(0.6))
+    with Recording(tmp_path / "r.mcap.active", allow_unfinished=True) as recording:
+        assert recording.statistics().readings == 2
 
 
 def test_the_description_is_readable_before_the_first_reading(tmp_path: Path) -> None:
