@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from aemd.acquire.acquisition import Acquisition
+from aemd.acquire.devices import SYSFS
 from aemd.acquire.instrument import BusyError, Instrument, OtherInstrumentError, RefusedError, find_driver, host_ns
 from aemd.acquire.reach import name_obstacle, way_to
 from aemd.block import READING, Block, Event, Status
@@ -98,18 +99,32 @@ def characterise(config: Config, out: Path) -> Mapping[str, str]:
     if config.resource == "sim":
         with simulated(config) as resource:
             return characterise(config.with_resource(resource), out)
-    answers = {found.question: found.answer for found in ask(config.resource, config.instrument, host_ns, time.sleep)}
-    text = f"# {config.resource}\n\n" + "".join(f"- {question}: {answer}\n" for question, answer in answers.items())
+    is_new = not out.exists()
+    _write(out, "")  # that it can be written is known before a minute is spent
     try:
-        out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"{out}: cannot be written: {(error.strerror or str(error)).lower()}") from error
+        found = ask(config.resource, config.instrument, host_ns, time.sleep)
+    except BaseException:
+        if is_new:
+            out.unlink(missing_ok=True)
+        raise
+    answers = {one.question: one.answer for one in found}
+    text = f"# {config.resource}\n\n" + "".join(f"- {question}: {answer}\n" for question, answer in answers.items())
+    _write(out, text, anew=True)
     return answers
 
 
+def _write(out: Path, text: str, *, anew: bool = False) -> None:
+    try:
+        with out.open("w" if anew else "a", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise RecordingError(f"{out}: cannot be written: {(error.strerror or str(error)).lower()}") from error
+
+
 def _permissions(resource: str) -> list[Check]:
-    if not resource.upper().startswith(("ASRL", "USB")):
-        return []
+    kind = resource.upper()
+    if not kind.startswith(("ASRL", "USB")) or (kind.startswith("USB") and not SYSFS.is_dir()):
+        return []  # there is nothing to ask, or nobody
     if obstacle := name_obstacle(resource):
         return [Check("permission", ok=False, found=resource, advice=obstacle)]
     return [Check("permission", ok=True, found="it is there and may be opened")]

@@ -18,6 +18,7 @@ __all__ = ["SYSFS", "Device", "list_devices", "list_usb"]
 PORT = 5025  # of a raw SCPI socket, by its entry in the IANA list
 HIGHEST_PORT = 65_535
 LONGEST_ANSWER = 256
+FIRST_PART = 0.9  # of the time is a host's, so that what became of it can be told
 SYSFS = Path("/sys/bus/usb/devices")
 USB_TMC = ("fe", "03")  # class and subclass of the interface (USBTMC 1.00, table 43)
 
@@ -114,18 +115,23 @@ def _serial(resource: str) -> Device:
 
 def _ask_host(host: str, timeout_s: float, named: list[Device]) -> None:
     name, _, port = host.partition(":")
+    end_s = time.monotonic() + FIRST_PART * timeout_s
     try:
         number = _port(port)
-        with socket.create_connection((name, number), timeout=timeout_s) as line:
+        with socket.create_connection((name, number), timeout=FIRST_PART * timeout_s) as line:
             line.sendall(b"*IDN?\n")
             answer = b""
             while b"\n" not in answer and len(answer) < LONGEST_ANSWER:
+                line.settimeout(max(0.001, end_s - time.monotonic()))
                 piece = line.recv(LONGEST_ANSWER)
                 if not piece:
                     break
                 answer += piece
-    except (OSError, ValueError) as error:
-        why = (getattr(error, "strerror", None) or str(error) or "no answer").lower()
+    except ValueError as error:
+        named.append(Device("", "LAN", host, str(error)))
+        return
+    except OSError as error:
+        why = (error.strerror or str(error)).lower()
         named.append(Device("", "LAN", host, f"{why}; is it on, and is the address right?"))
         return
     said = answer.decode("ascii", errors="backslashreplace").strip()

@@ -106,7 +106,9 @@ def _way_to_host(resource: str, timeout_s: float) -> str:
     host, _, number = (fields[1] if len(fields) > 1 else "").partition(",")
     is_socket = resource.upper().endswith("::SOCKET")
     number = fields[2] if is_socket and len(fields) > 2 else number
-    port = int(number) if number.isascii() and number.isdigit() and int(number) < 1 << 16 else PORT_MAPPER
+    if number and not (number.isascii() and number.isdigit() and 0 < int(number) < 1 << 16):
+        return f"write its port, {number!r}, as a number from 1 to 65535; the raw socket of a meter is at {SCPI_PORT}"
+    port = int(number) if number else PORT_MAPPER
     try:
         socket.create_connection((host, port), timeout=timeout_s).close()
     except socket.gaierror:

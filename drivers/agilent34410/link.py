@@ -22,6 +22,8 @@ What was measured of pyvisa-py 0.8 and is guarded against here:
   opening also as a bare Exception. So every Exception of an exchange is the link's failure.
 """
 
+import os
+import re
 import select
 import socket
 import struct
@@ -50,6 +52,9 @@ LONGEST_ANSWER = 4096  # bytes of a line; the meter's longest, an error text, ha
 QUIET_S = 0.1  # nothing for so long: the line is empty
 MOST_DRAIN_S = 1.0  # a peer that is not quiet by then will not be
 ROUND_A_BLOCK = 64  # bytes: its head, and what answers a further question of the same line
+CREATING_LINK = re.compile(r"error creating link: ([0-9]+)")  # as pyvisa-py says it
+LINK_REFUSALS = {3: "no answer, or no such device", 9: "it has given out all it has", 11: "another has locked it"}
+"""Errors of create_link (VXI-11, table B.2); 3 is also what pyvisa-py makes of silence."""
 NO_LINGER = struct.pack("ii", 1, 0)  # struct linger: on, 0 s
 
 
@@ -171,7 +176,8 @@ class _VisaLink:
             way_out = name_obstacle(resource) or "check that the instrument is on, the cable and the address"
             if isinstance(error, InvalidResourceName):
                 way_out = "write it like TCPIP0::192.168.1.5::5025::SOCKET"
-            raise InstrumentError(f"{resource}: cannot open: {_one_line(error)}; {way_out}") from error
+            name = resource or "no resource"
+            raise InstrumentError(f"{name}: cannot open: {_why(error)}; {way_out}") from error
         session = cast("MessageBasedResource", opened)
         self._session: MessageBasedResource | None = session
         library: Any = session.visalib
@@ -300,7 +306,7 @@ class _VisaLink:
                     what += ", and the other end has closed the connection"
                     self._close(dead=True)
             else:
-                what = (getattr(error, "strerror", None) or _one_line(error)).lower().rstrip(".")
+                what = _why(error).lower()
                 if trying or not _is_nonsense(error):
                     self._close(dead=True)
             raise InstrumentError(
@@ -366,5 +372,11 @@ def _close_sockets_left_by(error: BaseException) -> None:
         failure = failure.__context__
 
 
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+def _why(error: BaseException) -> str:
+    """Return what a failure is, in one line: of the system's, its own words for the number, which some wrap up."""
+    text = str(error)
+    if isinstance(error, OSError) and error.strerror:
+        text = os.strerror(error.errno).lower() if error.errno and error.errno > 0 else error.strerror.lower()
+    elif found := CREATING_LINK.fullmatch(text):
+        text = f"it gives out no link: {LINK_REFUSALS.get(int(found[1]), f'error {found[1]}')}"
+    return " ".join(text.split()).rstrip(".") or type(error).__name__

@@ -87,3 +87,8 @@ def test_a_host_is_unknown_or_without_the_port_or_does_not_answer() -> None:
 
 def test_what_is_no_resource_is_shown_one() -> None:
     assert "TCPIP0::HOST::5025::SOCKET" in way_to("the meter on my desk", 0.1)
+
+
+@pytest.mark.parametrize("resource", ["TCPIP0::127.0.0.1,x::inst0::INSTR", "TCPIP0::127.0.0.1::70000::SOCKET"])
+def test_a_port_that_is_none_is_told_of_and_no_other_is_tried(resource: str) -> None:
+    assert "as a number from 1 to 65535" in way_to(resource, 0.1)

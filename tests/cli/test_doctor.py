@@ -131,6 +131,16 @@ def test_characterise_and_its_report_go_together(aemd: Run) -> None:
     assert "--out FILE" in refused(code, err, out, 2)
 
 
+def test_a_report_that_cannot_be_written_is_known_before_the_meter_is_asked(aemd: Run, tmp_path: Path) -> None:
+    resource = "TCPIP0::127.0.0.1::1::SOCKET"
+    code, out, err = aemd("doctor", "--resource", resource, "--characterise", "--out", tmp_path / "none" / "report.md")
+    assert "none/report.md: cannot be written: no such file or directory" in refused(code, err, out, 1)
+
+    code, out, err = aemd("doctor", "--resource", resource, "--characterise", "--out", tmp_path / "report.md")
+    assert "refused" in refused(code, err, out, 1)
+    assert not list(tmp_path.iterdir())
+
+
 def test_devices_end_within_their_time_and_say_what_is_wrong_with_a_host(aemd: Run) -> None:
     code, out, _ = aemd("devices", "--timeout", 0.5, "--host", "127.0.0.1:1", "--json")
     said = {device["found"]: device for device in json.loads(out)["devices"]}

@@ -1,6 +1,7 @@
 import re
 import select
 import socket
+import struct
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
@@ -191,6 +192,9 @@ def test_a_line_that_is_not_quiet_is_not_drained_for_ever(monkeypatch: pytest.Mo
         ("TCPIP0::127.0.0.1::SOCKET", "TCPIP0::192.168.1.5::5025::SOCKET"),
         ("TCPIP0::no.such.host.invalid::1::SOCKET", "the address"),
         ("TCPIP0::127.0.0.1,1::inst0::INSTR", "the address"),
+        ("TCPIP0::127.0.0.1,x::inst0::INSTR", "TCPIP0::192.168.1.5::5025::SOCKET"),
+        ("TCPIP0::127.0.0.1,0::inst0::INSTR", "TCPIP0::192.168.1.5::5025::SOCKET"),
+        ("TCPIP0::127.0.0.1,65536::inst0::INSTR", "TCPIP0::192.168.1.5::5025::SOCKET"),
     ],
 )
 def test_a_malformed_address_is_refused_with_an_example_of_a_right_one_and_no_other_is(
@@ -198,6 +202,44 @@ def test_a_malformed_address_is_refused_with_an_example_of_a_right_one_and_no_ot
 ) -> None:
     with pytest.raises(InstrumentError, match=rf"cannot open: .*{way_out}$"):
         opened(resource).query("*IDN?")
+
+
+@pytest.mark.parametrize(
+    ("resource", "why"),
+    [
+        ("TCPIP0::127.0.0.1,1::inst0::INSTR", "connection refused"),
+        ("ASRL/dev/nonesuch::INSTR", "no such file or directory"),
+        (
+            "TCPIP0::no.such.host.invalid::5025::SOCKET",
+            "(name or service not known|temporary failure in name resolution)",
+        ),
+        ("USB0::0x0957::0x0607::NOSUCH::INSTR", "No device found"),
+    ],
+)
+def test_why_a_link_cannot_be_opened_is_said_in_words_without_numbers(resource: str, why: str) -> None:
+    with pytest.raises(InstrumentError, match=rf"^{re.escape(resource)}: cannot open: {why}; "):
+        opened(resource)
+
+
+@pytest.mark.parametrize(("error", "says"), [(9, "it has given out all it has"), (8, "error 8")])
+def test_a_vxi_11_server_that_gives_out_no_link_is_quoted_in_words(error: int, says: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor(1) as pool:
+
+        def serve() -> None:
+            with listener.accept()[0] as line:
+                line.recv(1)  # the knock, which says nothing
+            line, _ = listener.accept()
+            with line:
+                call = line.recv(100)
+                answer = struct.pack(">9I", 1, 0, 0, 0, 0, error, 0, 0, 0)
+                line.sendall(struct.pack(">I", 1 << 31 | 4 + len(answer)) + call[4:8] + answer)
+                line.recv(100)
+
+        listener.settimeout(60)
+        served = pool.submit(serve)
+        with pytest.raises(InstrumentError, match=f"it gives out no link: {says}; "):
+            opened(f"TCPIP0::127.0.0.1,{listener.getsockname()[1]}::inst0::INSTR")
+        served.result()
 
 
 def test_closing_one_link_leaves_another_open() -> None:
