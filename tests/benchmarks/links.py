@@ -5,6 +5,9 @@ of the same blocks by the same server. Bare: the same command, its bytes read an
 pyvisa. PyMeasure has no way to read more than one value; InstrumentKit reads blocks (`r`), over the socket.
 `python -m tests.benchmarks.links [SECONDS]`.
 
+The CPU that a reading takes in the driver's thread and in the meter's tells which of them the loopback waits for; of
+USB, whose device has no thread, they are one figure.
+
 A loopback is a hundred times faster than a meter's link, so a share of it says what the driver's own work costs, and
 not what a user sees. That is the other share: of the rate at which a 34410A sends REAL,64 by this link, as its maker
 measured (application note on throughput: socket 160,000/s, VXI-11 60,000/s, USB 154,000/s), on a line without a socket
@@ -17,7 +20,7 @@ import time
 import warnings
 from collections.abc import Callable
 from contextlib import closing, suppress
-from functools import partial
+from dataclasses import dataclass
 
 import numpy as np
 import pyvisa
@@ -34,6 +37,8 @@ from tests.drivers.sim34410.links import RunningClock, counting_bench, served
 FAST = agilent34410.Options(interval_s=1e-4, aperture_s=1e-4, autozero="off", trigger_delay_s=0.0, display=False)
 BLOCK = 8192
 FILLS = 10
+TIMES = 3
+"""Of which the best: what else the machine does only ever slows it."""
 PEER_S = 5.0
 
 
@@ -42,25 +47,25 @@ def main(seconds: float = 60.0) -> None:
         5e-5
     )  # client and meter hand over to each other at every question; by default that takes 5 ms
     print(
-        f"{'link':8} {'bare/s':>10} {'aemd/s':>10} {'of bare':>8} {'of the real link':>17} {'sustained at 10 kS/s':>28}"
+        f"{'link':8} {'bare/s':>10} {'aemd/s':>10} {'of bare':>8} {'CPU, meter + driver':>22} {'of a core at the':>17}"
+        f" {'of the real':>12} {'sustained at 10 kS/s':>28}"
     )
+    print(f"{'':8} {'':>10} {'':>10} {'':>8} {'ns/reading':>22} {'real link':>17} {'link':>12}")
     drained: dict[str, float] = {}
     links: tuple[Link, ...] = ("socket", "vxi11", "usb")
     for link in links:
-        bare = best(partial(rate_bare, link))
-        drained[link] = best(partial(rate_drained, link))
+        bare = max(rate_bare(link) for _ in range(TIMES))
+        fastest = max((drain(link) for _ in range(TIMES)), key=lambda one: one.per_s)
+        drained[link] = fastest.per_s
         kept = sustain(link, seconds)
-        shares = f"{100 * drained[link] / bare:7.0f}% {share_of_real(link):16.1f}%"
+        cpu = f"{fastest.meter_ns:.0f} + {fastest.driver_ns:.0f}" if link != "usb" else f"{fastest.driver_ns:.0f}"
+        shares = f"{100 * drained[link] / bare:7.0f}% {cpu:>22} {fastest.driver_ns * 1e-7 * REAL[link]:16.1f}%"
+        shares += f" {share_of_real(link):11.1f}%"
         print(f"{link:8} {bare:10.0f} {drained[link]:10.0f} {shares} {kept:>28}", flush=True)
     peers = {"InstrumentKit, r(n) over the socket": rate_instrumentkit, "PyMeasure, voltage_dc": rate_pymeasure}
     for name, measure in peers.items():
         rate = measure()
         print(f"{name}: {rate:.0f} readings/s; aemd over the socket {drained['socket'] / rate:.0f} times that")
-
-
-def best(measure: Callable[[], float]) -> float:
-    """Of three: what else the machine does only ever slows it."""
-    return max(measure() for _ in range(3))
 
 
 REAL = {"socket": 160_000, "vxi11": 60_000, "usb": 154_000}
@@ -84,24 +89,38 @@ def share_of_real(link: Link) -> float:
     return 100 * taken / ((clock() - begun_ns) * 1e-9) / REAL[link]
 
 
-def rate_drained(link: str) -> float:
-    """Readings/s that the driver takes out of a memory that holds 49,000, decoded."""
+@dataclass(frozen=True, slots=True)
+class Drained:
+    """What a link brought."""
+
+    per_s: float
+    """Readings/s."""
+    driver_ns: float
+    """CPU of the driver's thread for a reading, ns."""
+    meter_ns: float
+    """CPU of the meter's, ns."""
+
+
+def drain(link: str) -> Drained:
+    """Have the driver take a memory that holds 49,000 readings, decoded, some times."""
     clock = RunningClock()
     with (
         served(counting_bench(clock, truth_readings=0)) as resources,
         closing(agilent34410.open_instrument(resources[link], FAST, clock)) as meter,
     ):
         meter.start()
-        taken, took_s = 0, 0.0
+        taken, took_s, own_s, all_s = 0, 0.0, 0.0, 0.0
         for _ in range(FILLS):
             clock.move(4.9)
             meter.drain(1)  # has the meter make them
-            begun_s = time.perf_counter()
+            begun_s, begun_own_s, begun_all_s = time.perf_counter(), time.thread_time(), time.process_time()
             while (drain := meter.drain(BLOCK)).waiting > BLOCK:
                 taken += drain.values_V.size
             taken += drain.values_V.size
             took_s += time.perf_counter() - begun_s
-    return taken / took_s
+            own_s += time.thread_time() - begun_own_s
+            all_s += time.process_time() - begun_all_s
+    return Drained(taken / took_s, own_s / taken * 1e9, (all_s - own_s) / taken * 1e9)
 
 
 def rate_bare(link: str) -> float:
