@@ -8,19 +8,15 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, ChunkIndex, Footer, MetadataIndex
 from mcap.writer import MCAP0_MAGIC
-from numpy.typing import NDArray
 
-from aemd.block import Batch, Estimates
 from aemd.errors import RecordingError
 from aemd.record.chunk import BadChunkError, Contents, FullIndexes, open_chunk
-from aemd.record.counts import Counts
+from aemd.record.continuity import Continuity
 from aemd.record.cut import make_batch
-from aemd.record.description import read_parameters
 from aemd.record.reader import Recording, open_map
 from aemd.record.walk import DAMAGED, Record, has_end, parse, walk
 
@@ -31,7 +27,6 @@ _HELD_OF_CHUNKS = (
     *("chunk_start_offset", "chunk_length", "compression", "compressed_size", "uncompressed_size"),
     *("message_start_time", "message_end_time"),
 )
-_TURN = 1 << 32  # a message has so many numbers; nobody loses half of them, which is days, in a file that goes on
 _MOST_FINDINGS = 20  # a file that is wrong throughout is not told of chunk by chunk
 
 
@@ -76,19 +71,12 @@ class _Checker:
         self._unsaid = 0
         self._notes: list[str] = []
         first_index = recording.description.first_index
-        self._counts = Counts(first_index)
+        self._continuity = Continuity(first_index, self._find)
+        self._counts = self._continuity.counts
         self._full = FullIndexes(first_index)
         self._messages: dict[int, int] = {}
         self._chunks = 0
         self._first_time_ns = self._log_time_ns = 0
-        self._jumps: dict[tuple[int, int], int] = {}
-        """First and last index of each loss that no event has told of yet, and the chunk behind it."""
-        self._told: set[tuple[int, int]] = set()
-        self._last = (-1, -1)
-        """Index of the first reading, and of the last one."""
-        self._estimate_first = self._estimate_last = -1
-        self._turns = {"readings": 0, "estimates": 0}
-        """Of 2^32 numbers, by which the full ones are too high because chunks are not in their order."""
         self._kinds = recording.kinds
 
     def run(self) -> CheckResult:
@@ -99,8 +87,9 @@ class _Checker:
             self._progress(chunk.end >> 20, len(self._octets) >> 20)
         if (extra := next(summarised, None)) is not None:
             self._find(f"the summary tells of a chunk at byte {extra.chunk_start_offset} that is not there")
-        are_told = self._hold_jumps()
-        self._hold_estimates()
+        are_told = self._continuity.hold_jumps()
+        close = self._recording.metadata.get("aemd.close", {})
+        self._continuity.hold_estimates(self._recording.description.estimator, close.get("reason"))
         if has_end(self._octets):
             self._hold_end(noted)
         else:
@@ -195,11 +184,7 @@ class _Checker:
             self._messages[channel] = self._messages.get(channel, 0) + count
         self._full.restore(contents.piece)
         batch, estimates = make_batch(contents.piece)
-        self._turn_back("readings", batch.readings["index"], self._counts.next_index)
-        self._turn_back("estimates", estimates["index"], self._estimate_last)
-        self._hold_continuity(place, batch)
-        self._hold_pairs(place, estimates)
-        self._counts.add(batch, estimates)
+        self._continuity.add(place, batch, estimates)
 
     def _hold_index(
         self, place: str, chunk: Record, indexes: list[Record], contents: Contents, told: ChunkIndex | None
@@ -236,74 +221,6 @@ class _Checker:
         self._log_time_ns = max(self._log_time_ns, int(times.max()))
         if (head.message_start_time, head.message_end_time) != (times.min(), times.max()):
             self._find(f"{place} says that it begins or ends at another time than its messages do")
-
-    def _turn_back(self, of: str, index: NDArray[np.int64], before: int) -> None:
-        """Take numbers that seem to be a turn ahead as what they are: a chunk's that is not in its place."""
-        if len(index):
-            index -= self._turns[of] * _TURN
-            if before >= 0 and index[0] - before > _TURN // 2:
-                self._turns[of] += 1
-                index -= _TURN
-
-    def _hold_continuity(self, place: str, batch: Batch) -> None:
-        self._told |= {(event.first_index, event.last_index) for event in batch.events if event.last_index >= 0}
-        index = batch.readings["index"]
-        if not len(index):
-            return
-        self._last = (self._last[0] if self._last[0] >= 0 else int(index[0]), int(index[-1]))
-        before = np.concatenate([[self._counts.next_index - 1], index[:-1]])
-        steps = index - before
-        if (steps < 1).any():
-            self._find(
-                f"{place} has reading {index[np.argmax(steps < 1)]} after reading {before[np.argmax(steps < 1)]}"
-            )
-        for at in np.flatnonzero(steps > 1).tolist():
-            self._jumps[int(before[at]) + 1, int(index[at]) - 1] = self._chunks
-        self._jumps = {jump: chunk for jump, chunk in self._jumps.items() if jump not in self._told}
-
-    def _hold_jumps(self) -> bool:
-        """Say which losses no event tells of, and return whether there is none.
-
-        An event may tell of a part, and another one of the rest.
-        """
-        spans, are_told = sorted(self._told), True
-        for first, last in sorted(self._jumps):
-            begin = first
-            for told_first, told_last in spans:
-                if told_first <= begin <= told_last:
-                    begin = told_last + 1
-            if begin <= last:
-                are_told = False
-                self._find(f"readings {begin} to {last} are missing, and no event tells of it")
-        return are_told
-
-    def _hold_pairs(self, place: str, estimates: Estimates) -> None:
-        index = estimates["index"]
-        if not len(index):
-            return
-        if self._estimate_first < 0:
-            self._estimate_first = int(index[0])
-        before = np.concatenate([[self._estimate_last], index[:-1]])
-        if (index <= before)[0 if self._estimate_last >= 0 else 1 :].any():
-            self._find(f"{place} has estimates out of order")
-        self._estimate_last = int(index[-1])
-
-    def _hold_estimates(self) -> None:
-        """Say whether each reading has an estimate; one that lags leaves the last ones to the next file."""
-        described = self._recording.description
-        if not described.estimator:
-            return
-        counts = self._counts
-        lag = _lag(described.estimator)
-        # A reading may be the last of its chunk and its estimate the first of the next, which a crash took.
-        is_cut = self._recording.metadata.get("aemd.close", {}).get("reason") in {None, "recovered", "disk-full"}
-        if abs(counts.readings - counts.estimates) > lag + is_cut:
-            self._find(f"it has {counts.readings} readings and {counts.estimates} estimates")
-        elif not lag and not is_cut and self._last != (self._estimate_first, self._estimate_last):
-            self._find(
-                f"its readings are {self._last[0]} to {self._last[1]}, and its estimates are of readings "
-                f"{self._estimate_first} to {self._estimate_last}"
-            )
 
     # The end.
 
@@ -402,10 +319,3 @@ class _Checker:
         for name in ("readings", "estimates", "lost", "next_index"):
             if name in close and close[name] != str(getattr(self._counts, name)):
                 self._find(f"its closing note tells of {name} = {close[name]}; it is {getattr(self._counts, name)}")
-
-
-def _lag(estimator: Mapping[str, str]) -> int:
-    try:
-        return int(read_parameters(estimator)[1].get("lag", 0))
-    except ValueError:
-        return 0
