@@ -1,6 +1,7 @@
 """The likelihood of a hypothesis, and the way up it: one start, or several that race."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ __all__ = [
     "Climb",
     "assemble",
     "climb",
+    "climb_on",
     "densities",
     "race",
     "readings_scores",
@@ -28,6 +30,7 @@ _IMPOSSIBLE = 1e9  # nats a reading that what cannot be computed costs
 _LONGEST_STEP = 1.5  # of any free number at once; most are logarithms
 _CONVERGED = 1e-2  # nats that are not worth another step
 _CONVERGED_PER_READING = 3e-7  # in a long record a hundredth of a nat is far below what can be told
+_SLOW = 0.5  # nats, on a long record: two steps in a row that gain less are the last
 _FREE = 1e-2  # damping above which a small gain may be a short step's and not the top's
 _ONE_TOP = 0.3  # nats between climbs that have met on one top
 _FLAT = 0.1  # of what is worth a step: a free number that can gain no more stays
@@ -37,6 +40,13 @@ HOPELESS = 20.0
 _PATIENCE = 5  # steps that the best start of each kind has at least, where that is not too much work
 _WORK = 1e5  # (free numbers times states squared) of those steps, for each reading
 _IN_HASTE = 3  # such steps, below which only the best start of each kind sets out
+_LONG = 40_000  # readings beyond which a race is run on some of them first
+_BLOCKS = 20
+_BLOCK = 500  # readings: the gaps between blocks show what is slow, the readings within what is not
+_FIRST_STEPS = 6  # on those, of each start of a race of many
+_LAST_STEPS = 8  # over all readings after them, each some dozen passes of the filter
+_FEW, _FEW_LONG = 8, 5  # steps from a maximum to that of half the record
+_LED_PATIENCE = 2  # steps over all of what has hope after them
 _STILL_TO_COME = 3.0  # times its last step's gain that a start is given credit for; steps gain less and less
 
 
@@ -88,11 +98,25 @@ def score_log_likelihood(terms: Sequence[Term], theta: Floats, data: Data) -> fl
 def densities(terms: Sequence[Term], theta: Floats, data: Data) -> Floats:
     """Return the log density of each scaled reading, shape (n,)."""
     seen, parts, arguments = assemble(terms, theta, data)
+    used, step_s, slope = data.used, data.step_s, seen.log_slope
+    if data.sample is not None:
+        seen, used, step_s, slope, arguments = _at(data.sample, seen, data, arguments)
     if parts.telegraph is None:
-        each = log_densities(seen.y, data.used, data.step_s, *arguments) + seen.log_slope
+        each = log_densities(seen.y, used, step_s, *arguments) + slope
     else:
-        each = follow_telegraph(parts.telegraph, seen.y, data.used, data.step_s, *arguments)[0] + seen.log_slope
+        each = follow_telegraph(parts.telegraph, seen.y, used, step_s, *arguments)[0] + slope
     return each if np.isfinite(each).all() else np.full(each.size, -_IMPOSSIBLE)
+
+
+def _at(sample: NDArray[np.int64], seen: Seen, data: Data, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return what the filter takes of some readings; what is left out between them is time that passes."""
+    step_s = data.step_s[sample]
+    behind_gap = np.flatnonzero(np.diff(sample) > 1) + 1
+    step_s[behind_gap] = data.t_s[sample[behind_gap]] - data.t_s[sample[behind_gap - 1]]
+    mean, noise_var, scale, states, shocks, extras, *bounds = arguments
+    chosen = (mean[sample], noise_var[sample], scale[sample], states, shocks, extras, *(end[sample] for end in bounds))
+    slope = seen.log_slope[sample] if isinstance(seen.log_slope, np.ndarray) else seen.log_slope
+    return replace(seen, y=seen.y[sample]), data.used[sample], step_s, slope, chosen
 
 
 def readings_scores(terms: Sequence[Term], theta: Floats, data: Data, here: Floats, high: Floats) -> Floats:
@@ -132,6 +156,11 @@ class Climb:
         """Of a step, for each reading."""
 
     @property
+    def readings(self) -> int:
+        """How many a step goes through."""
+        return int(self._here.size)
+
+    @property
     def worth(self) -> float:
         """Log-likelihood less cost."""
         return self.value - self.cost_nats
@@ -140,6 +169,35 @@ class Climb:
         """Return whether it is all but where another of the same hypothesis has come to rest."""
         same = self.terms[-1].cause == other.terms[-1].cause and self.theta.size == other.theta.size
         return other.done and same and abs(self.value - other.value) < _ONE_TOP and self.gained < 10 * _ONE_TOP
+
+    @property
+    def hope(self) -> float:
+        """Worth that this start may come to, as far as its steps told so far."""
+        return self.worth + _STILL_TO_COME * self.gained
+
+    def led(self, iterations: int) -> "Climb":
+        """Return a climb that begins where one over some blocks of the record ended, if that is higher; else this one.
+
+        An effect that none of the blocks holds leaves its numbers where they were.
+
+        Args:
+            iterations: steps over the blocks.
+        """
+        if self.done:
+            return self
+        begun = Climb(self.terms, self.theta, self._data.sampled(_BLOCKS, _BLOCK), self.cost_nats)
+        for _ in range(iterations):
+            if begun.done:
+                break
+            begun.step()
+        ahead = Climb(self.terms, begun.theta, self._data, self.cost_nats)
+        if ahead.value <= self.value:
+            return self
+        own = self.terms[-1].start.size
+        if own and (begun.theta[-own:] != self.theta[-own:]).any():
+            # What so few readings leave open, half a nat for each number, is as many times more in all of them.
+            ahead.gained = (begun.gained + self.theta.size) * self.readings / begun.readings
+        return ahead
 
     def step(self) -> None:
         """Take one step, or say that there is none worth taking."""
@@ -152,7 +210,7 @@ class Climb:
         pinned |= np.abs(gradient) + np.diag(curvature) < _FLAT * enough
         gradient[pinned] = 0.0
         curvature[pinned], curvature[:, pinned] = 0.0, 0.0
-        scale = np.diag(curvature) + 1e-6
+        scale, before = np.diag(curvature) + 1e-6, self.gained
         while self._damping < 1e6:
             step = np.linalg.solve(curvature + np.diag(self._damping * scale), gradient)
             if not step.any():  # every number is at a bound, or changes nothing
@@ -170,6 +228,7 @@ class Climb:
                 self.theta, self._here, self.value = trial, there, self.value + self.gained
                 self._damping = self._damping * 10.0 if turned else max(self._damping / 10.0, 1e-7)
                 self.done = self.gained < enough and promised < 10 * enough and self._damping < _FREE and not turned
+                self.done |= self.readings > _LONG and max(before, self.gained) < _SLOW and not turned
                 return
             self._damping *= 10.0
             if 0 <= promised < enough and not turned:  # short or turned for the sake of one number is not the top
@@ -183,25 +242,41 @@ def climb(terms: Sequence[Term], start: Floats, data: Data, iterations: int = 40
     return alone.theta, alone.value
 
 
+def climb_on(terms: Sequence[Term], start: Floats, data: Data) -> Floats:
+    """Return the free numbers a few steps from `start`, a maximum of all readings, of which these are half."""
+    alone = Climb(terms, start, data)
+    for _ in range(_FEW if alone.readings <= _LONG else _FEW_LONG):
+        if not alone.done:
+            alone.step()
+    return alone.theta
+
+
 def race(starts: Sequence[Climb], iterations: int) -> list[Climb]:
     """Let starts climb together, give up those that fall hopelessly behind, and return the others, best first.
 
     The best of each kind is given a few steps first: a mechanism that the base has imitated begins far down, because
     the base has to give way before it can rise. Fewer steps beside a large model, where each is costly: what loses has
     its turn in the next round.
+
+    On a long record those first steps are taken on some blocks of it. Over all readings go then the best of each kind
+    that has hope, a step or two, and the rest of the way those that keep it. So the work of a race grows with the
+    readings as that of the winners' last steps does.
     """
     left = list(starts)
     patience = int(np.clip(_WORK / max(sum(one.work for one in left), 1.0), 1, _PATIENCE))
     if patience < _IN_HASTE:
         left = _best_of_each_kind(left)
+    if left[0].readings > _LONG:
+        first_steps = min(iterations, _FIRST_STEPS) if len(left) > _IN_HASTE else iterations
+        patience, left = _LED_PATIENCE, _hopeful(_best_of_each_kind([one.led(first_steps) for one in left]))
+        iterations = min(iterations, _LAST_STEPS)
     for count in range(1, iterations + 1):
         for one in left:
             if not one.done:
                 one.step()
-        top = max(one.worth for one in left)
         first = _best_of_each_kind(left) if count < patience else []
-        left = [one for one in left if one in first or one.worth + _STILL_TO_COME * one.gained >= top - HOPELESS]
-        left = _distinct(left)
+        hopeful = _hopeful(left)
+        left = _distinct([one for one in left if one in first or one in hopeful])
         if all(one.done for one in left):
             break
     return sorted(left, key=lambda one: -one.worth)
@@ -212,6 +287,11 @@ def _best_of_each_kind(starts: Sequence[Climb]) -> list[Climb]:
     for one in sorted(starts, key=lambda one: -one.worth):
         best.setdefault(one.terms[-1].cause, one)
     return list(best.values())
+
+
+def _hopeful(starts: Sequence[Climb]) -> list[Climb]:
+    top = max(one.worth for one in starts)
+    return [one for one in starts if one.hope >= top - HOPELESS]
 
 
 def _distinct(starts: Sequence[Climb]) -> list[Climb]:

@@ -18,7 +18,7 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from aemd.diagnose.fit import climb, densities
+from aemd.diagnose.climb import climb_on, densities
 from aemd.diagnose.hypothesis import Data, Term
 from aemd.diagnose.result import Gain
 
@@ -54,7 +54,7 @@ class HeldOut:
         for fold in (0, 1):
             test = self._block % 2 == fold
             train = data.only(~test)
-            found, _ = climb(terms, theta, train, iterations=8)
+            found = climb_on(terms, theta, train)
             given_past = densities(terms, found, data)
             if forward:
                 scores += np.bincount(self._block, np.where(test, given_past, 0.0), scores.size)

@@ -48,11 +48,13 @@ class Data:
     """The upper end."""
     aperture_s: float = 0.0
     """Over which each reading is a mean; it matters to what is faster than the readings."""
+    sample: NDArray[np.int64] | None = None
+    """Places of the readings that the filter is run over, where these are not all; shape (m,)."""
 
     @property
     def n(self) -> int:
         """Readings that are used."""
-        return int(np.count_nonzero(self.used))
+        return int(np.count_nonzero(self.used if self.sample is None else self.used[self.sample]))
 
     @property
     def span_s(self) -> float:
@@ -62,6 +64,11 @@ class Data:
     def only(self, used: NDArray[np.bool_]) -> "Data":
         """Return the same with fewer readings used."""
         return replace(self, used=self.used & used)
+
+    def sampled(self, blocks: int, length: int) -> "Data":
+        """Return the same with the filter run over so many blocks of readings only, even ones, the last at the end."""
+        begins = np.linspace(0, self.y.size - length, blocks).astype(np.int64)
+        return replace(self, sample=(begins[:, None] + np.arange(length)).ravel())
 
     def first(self, count: int) -> "Data":
         """Return the first readings alone."""

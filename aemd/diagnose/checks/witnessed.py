@@ -8,8 +8,9 @@ from scipy.signal import correlate
 from scipy.stats import chi2
 
 from aemd import model
+from aemd.diagnose.climb import Climb, race
 from aemd.diagnose.evidence import Evidence, bonferroni, two_sided
-from aemd.diagnose.fit import Fit, climb, residuals
+from aemd.diagnose.fit import Fit, residuals
 from aemd.diagnose.given import Given
 from aemd.diagnose.hypothesis import Base
 from aemd.diagnose.terms.lines import amplitude_cost
@@ -131,13 +132,13 @@ def _best_delay(fit: Fit, witness: Floats) -> tuple[float, float, int]:
 
 def _gained(fit: Fit, term: ThermalDrift | Latency) -> float:
     """Return the log-likelihood that a witness adds once all is fitted again, nats."""
-    best = -np.inf
+    starts = []
     for less in _LESS_DRIFT if isinstance(fit.terms[0], Base) else (0.0,):
         theta = np.concatenate((fit.theta, term.start))
         if less:
             theta[3] -= less
-        best = max(best, climb([*fit.terms, term], theta, fit.data, iterations=6)[1])
-    return best - fit.log_likelihood
+        starts.append(Climb([*fit.terms, term], theta, fit.data))
+    return race(starts, 6)[0].value - fit.log_likelihood
 
 
 def _has(fit: Fit, name: str) -> bool:
