@@ -91,6 +91,8 @@ class Tally:
         self.counts = Counts(first_index)
         self.raw = Spread()
         self.estimate = Spread()
+        self._newest = (-1, 0)  # index and instant of the last reading
+        self._steps = self._steps_ns = 0  # from a reading to the very next one: how many, and how long in all
 
     def write(self, batch: Batch, estimates: Estimates) -> None:
         """Count one batch and its estimates."""
@@ -98,6 +100,23 @@ class Tally:
         self.estimate.add(estimates["value_V"])
         usable = (batch.readings["status"] & NOT_A_VALUE) == 0
         self.raw.add(batch.readings["value_V"][usable])
+        if batch.readings.size:
+            self._add_steps(batch.readings["index"], batch.readings["t_ns"])
+
+    def _add_steps(self, index: NDArray[np.int64], t_ns: NDArray[np.int64]) -> None:
+        """Take one batch's numbers and instants, shape (n,), n > 0."""
+        before, before_ns = self._newest
+        self._newest = int(index[-1]), int(t_ns[-1])
+        if before >= 0 and index[0] == before + 1:
+            self._steps += 1
+            self._steps_ns += int(t_ns[0]) - before_ns
+        if index[-1] - index[0] == index.size - 1:
+            self._steps += index.size - 1
+            self._steps_ns += int(t_ns[-1] - t_ns[0])
+            return
+        is_next = np.diff(index) == 1
+        self._steps += int(np.count_nonzero(is_next))
+        self._steps_ns += int(np.diff(t_ns)[is_next].sum())
 
     @property
     def duration_s(self) -> float:
@@ -106,5 +125,5 @@ class Tally:
 
     @property
     def rate_hz(self) -> float:
-        """Readings per second over the duration, lost ones not counted; 0 of fewer than two readings."""
-        return (self.counts.readings - 1) / self.duration_s if self.duration_s > 0 else 0.0
+        """Readings per second while they came: over the duration without its gaps; 0 of fewer than two readings."""
+        return self._steps / (self._steps_ns * 1e-9) if self._steps_ns > 0 else 0.0

@@ -114,4 +114,16 @@ def test_the_tally_counts_gaps_and_leaves_out_what_is_no_value() -> None:
 
     assert (tally.counts.readings, tally.counts.gaps, tally.counts.lost) == (4, 1, 3)
     assert tally.raw.variance == pytest.approx(2 / 3)  # of 1, 2, 3
+
+
+@pytest.mark.parametrize("length", [1, 3, 100])
+def test_a_gap_takes_nothing_from_the_rate_at_which_was_read(length: int) -> None:
+    block = make_block(np.zeros(100), interval_ns=1e9)
+    block["index"][50:] += 1000
+    block["t_ns"][50:] += 5_000_000_000_000  # a loss that was counted wrong, on top
+    tally = Tally()
+    for at in range(0, 100, length):
+        tally.write(Batch(block[at : at + length]), np.empty(0, ESTIMATE))
+
     assert tally.rate_hz == pytest.approx(1.0)
+    assert tally.duration_s == pytest.approx(99 + 5000)

@@ -76,6 +76,8 @@ class Health:
         if written != self._written or not waiting:
             self._written, self._written_ns = written, now_ns
         self._waiting = waiting
+        if not self._seen[-1][1]:  # nothing had come: the rate is that since the first did
+            self._seen.clear()
         self._seen.append((now_ns, came))
         while len(self._seen) > 2 and now_ns - self._seen[1][0] >= RATE_S * 1e9:
             self._seen.popleft()

@@ -252,3 +252,11 @@ def test_a_histogram_keeps_its_shape_beside_a_shock_and_loses_no_reading() -> No
 
 def test_bins_of_the_finest_level_are_a_millisecond() -> None:
     assert bin_ns(0) == pytest.approx(1e6, rel=0.05)
+
+
+def test_the_rate_is_that_since_readings_come_however_long_the_instrument_took_to_begin() -> None:
+    health = Health(0.1, now_ns=0)
+    for second in range(8):
+        health.see(came=max(0, 10 * (second - 4)), waiting=0, now_ns=second * 10**9)
+
+    assert health.rate_hz == 10.0
