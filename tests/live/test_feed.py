@@ -9,6 +9,7 @@ import pytest
 
 from aemd.block import ESTIMATE, Batch, Event, Status, make_block
 from aemd.live.feed import Place
+from aemd.live.health import Health
 from aemd.live.history import make_histogram
 from aemd.live.inbox import Inbox
 from aemd.live.metrics import METRICS, as_metrics
