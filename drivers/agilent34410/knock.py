@@ -13,11 +13,11 @@ from pyvisa.rname import InvalidResourceName, ResourceName, TCPIPInstr
 __all__ = ["knock"]
 
 HANGS_UP_WITHIN_S = 0.05
-PORT_MAPPER = 111
+PORT_MAPPER, HISLIP = "111", "4880"
 
 
 def knock(resource: str, timeout_s: float) -> None:
-    """Find the host of a resource, and of a VXI-11 one make sure that a connection to it stays.
+    """Find the host of a resource, and make sure that a connection to one of VXI-11 or HiSLIP stays.
 
     Args:
         resource: a VISA resource; of a line without a host nothing is asked.
@@ -32,12 +32,14 @@ def knock(resource: str, timeout_s: float) -> None:
     host, _, port = getattr(name, "host_address", "").partition(",")
     if not host:
         return
-    if port and not (port.isascii() and port.isdigit() and 0 < int(port) < 1 << 16):
-        raise InvalidResourceName(f"the port {port!r} must be 1 to 65535")
-    if not isinstance(name, TCPIPInstr) or name.lan_device_name.lower().startswith("hislip"):
+    if not isinstance(name, TCPIPInstr):
         socket.getaddrinfo(host, None)
         return
-    with socket.create_connection((host, int(port or PORT_MAPPER)), timeout_s) as line:
+    device, _, its_port = name.lan_device_name.lower().partition(",")
+    port = port or its_port or (HISLIP if device.startswith("hislip") else PORT_MAPPER)
+    if not (port.isascii() and port.isdigit() and 0 < int(port) < 1 << 16):
+        raise InvalidResourceName(f"the port {port!r} must be 1 to 65535")
+    with socket.create_connection((host, int(port)), timeout_s) as line:
         line.settimeout(HANGS_UP_WITHIN_S)
         with suppress(TimeoutError):
             if not line.recv(1):

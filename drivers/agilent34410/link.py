@@ -374,7 +374,7 @@ def _close_sockets_left_by(error: BaseException) -> None:
 
 def _why(error: BaseException) -> str:
     """Return what a failure is, in one line: of the system's, its own words for the number, which some wrap up."""
-    text = str(error)
+    text = error.description if isinstance(error, VisaIOError) else str(error)
     if isinstance(error, OSError) and error.strerror:
         text = os.strerror(error.errno).lower() if error.errno and error.errno > 0 else error.strerror.lower()
     elif found := CREATING_LINK.fullmatch(text):

@@ -1,5 +1,6 @@
 """The meter on TCP ports and a serial line: one thread, any number of clients, who share the one meter."""
 
+import errno
 import logging
 import os
 import selectors
@@ -81,7 +82,10 @@ def _listen(host: str, port: int) -> socket.socket:
     try:
         return socket.create_server((host, port))
     except OSError as error:
-        raise InstrumentError(f"cannot serve on {host} port {port}: {error.strerror}; 0 takes a free one") from error
+        is_the_ports = error.errno in (errno.EADDRINUSE, errno.EACCES)
+        way_out = "0 takes a free one" if is_the_ports else "the host must be this computer's, such as 127.0.0.1"
+        why = os.strerror(error.errno) if error.errno and error.errno > 0 else str(error.strerror)
+        raise InstrumentError(f"cannot serve on {host} port {port}: {why.lower()}; {way_out}") from error
 
 
 def _name(listener: socket.socket) -> tuple[str, int]:

@@ -214,6 +214,8 @@ def test_a_malformed_address_is_refused_with_an_example_of_a_right_one_and_no_ot
             "(name or service not known|temporary failure in name resolution)",
         ),
         ("USB0::0x0957::0x0607::NOSUCH::INSTR", "No device found"),
+        ("TCPIP0::127.0.0.1::hislip0::INSTR", "connection refused"),
+        ("TCPIP0::127.0.0.1::hislip0,1::INSTR", "connection refused"),
     ],
 )
 def test_why_a_link_cannot_be_opened_is_said_in_words_without_numbers(resource: str, why: str) -> None:

@@ -241,7 +241,7 @@ def test_closing_stops_the_meter_and_lights_its_display() -> None:
             " interval is 80 ms; ask for 0.08 s or more, a shorter aperture, or autozero off",
         ),
         (
-            Options(aperture_s=0.1, autozero="off"),
+            Options(aperture_s=0.1, autozero="off", display=False),
             "interval_s = 0.06712: a reading takes 1 x 100 ms (aperture), and the meter's least interval is 100 ms;"
             " ask for 0.1 s or more, a shorter aperture",
         ),

@@ -151,6 +151,12 @@ def test_a_busy_port_is_an_error_at_once():
             pass
 
 
+@pytest.mark.parametrize("host", ["192.0.2.1", "no.such.host.invalid"])  # the first is nobody's (RFC 5737)
+def test_a_host_that_is_not_this_computers_is_told_from_a_port_that_is_taken(host):
+    with pytest.raises(InstrumentError, match=rf"^cannot serve on {host} port 0: .*; the host must be this computer's"):
+        serve(Options(), host, 0).__enter__()
+
+
 @pytest.mark.parametrize("port", [-1, 65536])
 def test_a_port_that_is_none_is_an_error_in_one_line(port):
     with pytest.raises(InstrumentError, match=f"port {port}"), serve(Options(), "127.0.0.1", port):
