@@ -25,11 +25,14 @@ _MAINS_HZ = (50.0, 60.0)
 _WANDER_HZ = 0.05
 """Half width within which a grid keeps its frequency; the continental grids keep to 0.05 Hz but for seconds a year."""
 _HARMONICS = (1, 2, 3, 4, 5, 6, 7)
-_HARMONIC_PRIOR = {1: 0.7, 2: 0.15, 3: 0.1, 4: 0.0125, 5: 0.0125, 6: 0.0125, 7: 0.0125}
+"""Sought wherever they fold to; those of a free line, too."""
+_HIGHEST = 20
+"""Of the mains, where the readings are fast enough to follow it unfolded."""
+_MOST_AT_ONCE = 8
+"""Harmonics of one comb; each brings two free numbers."""
+_HARMONIC_PRIOR = {1: 0.7, 2: 0.15, 3: 0.1} | dict.fromkeys(range(4, 8), 0.01) | dict.fromkeys(range(8, 21), 0.0008)
 """Odds that a mains line, seen alone, is that harmonic: the fundamental by stray coupling, the second by rectification,
 the third by saturated iron. A judgement, stated."""
-_JOINS = 6.0
-"""Power, in units of its mean, at which a harmonic is taken into the comb: 0.25 % by chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,9 +129,19 @@ def _free_line(fit: Fit, frequency_hz: float, periodogram: Periodogram) -> Sines
     for harmonic in _HARMONICS[1:]:
         if harmonic * frequency_hz < 0.5 / data.interval_s:
             _, power = periodogram.near(harmonic * frequency_hz, 0.5 * harmonic / data.span_s)
-            if power > _JOINS + 1.0:
+            if power > _joins(data, harmonic):
                 harmonics.append(harmonic)
     return _sines(fit, "periodic_interference", frequency_hz, 1.5, harmonics, log(periodogram.cells))
+
+
+def _joins(data: Data, times: float) -> float:
+    """Return the power, in nats, from which a harmonic is worth the two amplitudes that it brings.
+
+    Args:
+        data: the readings.
+        times: its frequency over that of the line that is known: as many places it may be at.
+    """
+    return amplitude_cost(2, data.n) + log(max(times, 1.0))
 
 
 def _mains(fit: Fit, frequency_hz: float, periodogram: Periodogram, line_frequency_hz: float | None) -> Sines | None:
@@ -137,29 +150,31 @@ def _mains(fit: Fit, frequency_hz: float, periodogram: Periodogram, line_frequen
     best: tuple[float, Sines] | None = None
     grids = _MAINS_HZ if line_frequency_hz is None else (line_frequency_hz,)
     for grid in grids:
-        for harmonic in _HARMONICS:
+        harmonics = range(1, min(max(int(0.5 * rate / grid), _HARMONICS[-1]), _HIGHEST) + 1)
+        for harmonic in harmonics:
             side = grid * harmonic - rate * round(grid * harmonic / rate)
             width = _WANDER_HZ * harmonic + 1 / data.span_s
             if abs(abs(side) - frequency_hz) > width:
                 continue
             # The frequency that folds exactly there, and its other harmonics that stand out as well.
             true = (rate * round(grid * harmonic / rate) + np.copysign(frequency_hz, side)) / harmonic
-            present = [harmonic]
-            for other in _HARMONICS:
-                near = fold(other * true, rate)
+            present = {harmonic: np.inf}
+            for other in harmonics:
+                near, times = fold(other * true, rate), other / harmonic
                 if other == harmonic or near < 2 / data.span_s:
                     continue
                 if any(abs(near - fold(h * true, rate)) < 2 / data.span_s for h in present):
                     continue
-                _, power = periodogram.near(near, 0.5 * max(other / harmonic, 1) / data.span_s)
-                if power > _JOINS:
-                    present.append(other)
+                _, power = periodogram.near(near, 0.5 * max(times, 1.0) / data.span_s)
+                if power > _joins(data, times):
+                    present[other] = power
+            loudest = sorted(present, key=lambda h: -present[h])[:_MOST_AT_ONCE]
+            worth = sum(present[h] - _joins(data, h / harmonic) for h in loudest[1:])
             cells = 2 * _WANDER_HZ * data.span_s + 1
             cost = log(cells) + log(len(grids)) - log(_HARMONIC_PRIOR[harmonic])
-            term = _sines(fit, "mains_alias", true, 1.5 / harmonic, sorted(present, key=lambda h: h != harmonic), cost)
-            worth = 2.0 * _JOINS * (len(present) - 1) - cost
-            if best is None or worth > best[0]:
-                best = worth, term
+            if best is None or worth - cost > best[0]:
+                order = [harmonic, *sorted(loudest[1:])]
+                best = worth - cost, _sines(fit, "mains_alias", true, 1.5 / harmonic, order, cost)
     return None if best is None else best[1]
 
 

@@ -96,13 +96,15 @@ class Sines:
             if self.cause == "mains_alias"
             else [Parameter("frequency_hz", "Hz", frequency)]
         )
-        shown.append(Parameter("amplitude_V", "V", lambda v: hypot(v[1], v[2]) * unit))
+        # Positive, but made of numbers that are even about their values: its interval is too, and not its logarithm's.
+        shown.append(Parameter("amplitude_V", "V", lambda v: hypot(v[1], v[2]) * unit, positive=False))
         for number, harmonic in enumerate(self.harmonics[1:], start=1):
             shown.append(
                 Parameter(
                     f"amplitude_{harmonic}_V",
                     "V",
                     lambda v, at=1 + 2 * number: hypot(v[at], v[at + 1]) * unit,  # type: ignore[misc] # binds the loop's
+                    positive=False,
                 )
             )
         return shown
@@ -158,7 +160,7 @@ class WanderingLine:
         return [
             Parameter("frequency_hz", "Hz", first),
             Parameter("chirp_hz_per_s", "Hz/s", lambda v: self._law(v, data)[1], positive=False),
-            Parameter("amplitude_V", "V", lambda v: hypot(v[2], v[3]) * unit),
+            Parameter("amplitude_V", "V", lambda v: hypot(v[2], v[3]) * unit, positive=False),
         ]
 
     def _law(self, theta: Floats, data: Data) -> tuple[float, float]:
