@@ -13,7 +13,7 @@ from aemd.diagnose.evidence import Defect, Evidence
 from aemd.diagnose.figures import remark_on
 from aemd.diagnose.fit import Fit, refit, restart_base
 from aemd.diagnose.gain import SLOW, HeldOut, block_of, measure_gain
-from aemd.diagnose.goodness import fits, leaves_a_wave, share_a_period
+from aemd.diagnose.goodness import leaves_a_wave, share_a_period, why_unfit
 from aemd.diagnose.hypothesis import Data, Term
 from aemd.diagnose.intervals import covariance, describe
 from aemd.diagnose.naming import Named
@@ -67,19 +67,19 @@ def judge_all(searched: Searched, defects: list[Defect]) -> Judged:
         defects: of the readings themselves, findings without a measurement.
     """
     fit, judged, refused, spread = _what_stays(searched)
-    numbers = range(1, len(fit.terms))
-    parts = [share_a_period(fit, number) or leaves_a_wave(fit, number) for number in numbers]
     findings = [_from_defect(defect, searched.base) for defect in defects]
-    findings += [_doubted(item) if of_one else item for item, of_one in zip(judged, parts, strict=True)]
+    findings += [_doubted(item, _part_of_a_wave(fit, number)) for number, item in enumerate(judged, start=1)]
     findings += refused
     together = _measure_together(searched.base, fit, [item.gain for item in judged])
     if searched.left:
         findings.append(_unexplained(searched.left, fit, searched.stopped))
-    open_end = any(item.cause == "unexplained" and not item.remark for item in findings)
-    if findings and (open_end or not fits(fit, searched.evidence)):
-        # Where the search stopped, more is known to be there; a band with a top of its own is no part of it.
-        stopped = searched.stopped
-        findings = [item if stopped and item.cause == "resonance" else _less_sure(item) for item in findings]
+    if any(item.cause == "unexplained" and not item.remark for item in findings):
+        why = "there is more that is not explained, and it may be part of that"
+    else:
+        why = why_unfit(fit, searched.evidence) if findings else ""
+    # Where the search stopped, more is known to be there; a band with a top of its own is no part of it.
+    sharp = ("resonance",) if searched.stopped else ()
+    findings = [_doubted(item, why) if item.cause in _BROAD and item.cause not in sharp else item for item in findings]
     return Judged(fit, tuple(findings), together, spread)
 
 
@@ -234,16 +234,22 @@ def _measure_together(base: Fit, fit: Fit, gains: list[Gain]) -> Gain | None:
     return measure_gain(before, after, fit.data.n)
 
 
-def _less_sure(finding: Finding) -> Finding:
-    """Return a finding of a model that leaves something: what has no sharp mark may be part of that."""
-    return _doubted(finding) if finding.cause in _BROAD else finding
+def _part_of_a_wave(fit: Fit, number: int) -> str:
+    """Return why a term may be part of a wave of another form, in words; empty where it is none."""
+    if share_a_period(fit, number):
+        return "another finding comes again with it, as parts of one wave do"
+    if leaves_a_wave(fit, number):
+        return "a wave of its own period is left beside it"
+    return ""
 
 
-def _doubted(finding: Finding) -> Finding:
-    """Return a finding whose name is the nearest, and may not be it."""
-    if "unexplained" in finding.names:
+def _doubted(finding: Finding, why: str) -> Finding:
+    """Return a finding whose name is the nearest, and may not be it, as long as there is a reason."""
+    if not why or "unexplained" in finding.names:
         return finding
-    return replace(finding, names=(*finding.names, "unexplained"), probability=finding.probability / 2)
+    return replace(
+        finding, names=(*finding.names, "unexplained"), probability=finding.probability / 2, remark=f"because {why}"
+    )
 
 
 def _experiment(name: str, term: Term, data: Data) -> str:

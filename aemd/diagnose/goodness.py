@@ -22,7 +22,7 @@ from aemd.diagnose.hypothesis import Term
 from aemd.diagnose.terms.events import PeriodicGlitch
 from aemd.diagnose.terms.lines import Sines
 
-__all__ = ["FITS", "check_steadiness", "fits", "leaves_a_wave", "share_a_period"]
+__all__ = ["FITS", "check_steadiness", "leaves_a_wave", "share_a_period", "why_unfit"]
 
 Floats = NDArray[np.float64]
 
@@ -38,15 +38,24 @@ _LEAST = 20
 _HARMONICS = 6
 
 
-def fits(fit: Fit, evidence: Sequence[Evidence]) -> bool:
-    """Return whether neither the checks' best nor the steadiness of the residuals speaks against a fit.
+def why_unfit(fit: Fit, evidence: Sequence[Evidence]) -> str:
+    """Return what speaks against a fit, the checks' best or the steadiness of its residuals; empty where neither does.
 
     Args:
         fit: base and terms.
         evidence: of every check on its residuals.
     """
-    best = min((item.p_value for item in evidence), default=1.0)
-    return min(best * len(evidence), check_steadiness(fit).p_value) > FITS
+    best = min(evidence, key=lambda item: item.p_value, default=None)
+    if best is not None and best.p_value * len(evidence) <= FITS:
+        return f"{best.check.split(':')[0].split(', in ')[0]} is still {_say_p(best.p_value * len(evidence))}"
+    p_value = check_steadiness(fit).p_value
+    if p_value <= FITS:
+        return f"what the model leaves is not the same all along the record, {_say_p(p_value)}"
+    return ""
+
+
+def _say_p(p_value: float) -> str:
+    return f"p = {max(p_value, 1e-300):.1g}"
 
 
 def check_steadiness(fit: Fit) -> Evidence:

@@ -57,18 +57,28 @@ def _steadiness(diagnosis: Diagnosis) -> str:
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
-    named = sum(finding.cause != "unexplained" for finding in diagnosis.findings)
-    rest = len(diagnosis.findings) - named
-    known = f"{named} finding{'s' if named > 1 else ''}, {'each ' if named > 1 else ''}consistent with a mechanism"
+    named = [finding for finding in diagnosis.findings if finding.cause != "unexplained"]
+    rest = len(diagnosis.findings) - len(named)
+    doubted = sum("unexplained" in finding.names for finding in named)
+    one = len(named) == 1
+    known = f"{len(named)} finding{',' if one else 's, each'} consistent with a mechanism of the catalogue"
+    if doubted:
+        known += (
+            ", but perhaps something else" if one else f", {_count(doubted, len(named))} of them perhaps something else"
+        )
     match diagnosis.verdict:
         case "nothing_found":
             return "Nothing found: the base model predicts these readings as well as it claims, as far as was looked."
         case "explained":
-            return f"{known} of the catalogue."
+            return f"{known}."
         case _ if named:
-            return f"{known} of the catalogue, and {rest} more that {'is' if rest == 1 else 'are'} not explained by it."
+            return f"{known}, and {rest} more that {'is' if rest == 1 else 'are'} not explained by it."
         case _:
             return f"{rest} finding{'s' if rest > 1 else ''}, not explained by the catalogue of mechanisms."
+
+
+def _count(some: int, of: int) -> str:
+    return "all" if some == of else str(some)
 
 
 def _finding(finding: Finding) -> tuple[str, str]:
@@ -84,7 +94,7 @@ def _finding(finding: Finding) -> tuple[str, str]:
     else:
         others = " or ".join("something unexplained" if n == "unexplained" else _plain(n) for n in finding.names[1:])
         what = f"Consistent with {_call(finding)} ({finding.probability:.0%}), not told apart from {others}"
-        what += "" if "unexplained" in finding.names else _longer(finding)
+        what += f" {finding.remark}" if "unexplained" in finding.names else _longer(finding)
     evidence = (
         "certain" if finding.p_value == 0 else f"p = {max(finding.p_value, 1e-300):.1g} over all places it was sought"
     )
@@ -94,7 +104,7 @@ def _finding(finding: Finding) -> tuple[str, str]:
             f"; {_worth(finding.gain)}, "
             f"prediction error {_engineer(finding.rms_before, 'V')} -> {_engineer(finding.rms_after, 'V')} rms"
         )
-    mark = ";" if ":" in what else ":"
+    mark = ";" if ":" in what or finding.remark else ":"
     return f"{what}{mark} {sizes + '; ' if sizes else ''}{evidence}{worth}.", f"  Next: {then}."
 
 

@@ -52,7 +52,8 @@ class Finding:
     experiment: str
     """The cheapest one that would tell the names apart, or test the one."""
     remark: str = ""
-    """What to say of it where no name of the catalogue does, such as that a stated model's noise is of another size."""
+    """What to say of it beyond its names: where none of the catalogue does, such as that a stated model's noise is of
+    another size; where there is one, why it may not be it."""
 
 
 @dataclass(frozen=True, slots=True)

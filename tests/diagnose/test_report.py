@@ -1,11 +1,12 @@
 """What the text of a report says: the right word for a line, ends that are open, what was not fitted."""
 
+from dataclasses import replace
 from math import inf
 
 import numpy as np
 import pytest
 
-from aemd.diagnose import Finding, Gain, Value
+from aemd.diagnose import Diagnosis, Finding, Gain, Value, format_diagnosis
 from aemd.diagnose.fit import fit_base, residuals
 from aemd.diagnose.hypothesis import make_data
 from aemd.diagnose.intervals import describe
@@ -90,3 +91,20 @@ def finding(cause: str, parameters: dict[str, Value], experiment: str = "look ag
         rms_after=1.0,
         experiment=experiment,
     )
+
+
+def test_a_doubted_name_is_told_with_the_reason_and_the_verdict_says_so():
+    doubted = replace(finding("smoothing", {}), names=("smoothing", "unexplained"), probability=0.5, remark="because x")
+    text = format_finding(doubted).splitlines()[0]
+    sure = finding("resonance", {})
+
+    assert text.startswith("Consistent with smoothing (50%), not told apart from something unexplained because x; p = ")
+    assert verdict(doubted) == "1 finding, consistent with a mechanism of the catalogue, but perhaps something else."
+    assert verdict(doubted, sure) == (
+        "2 findings, each consistent with a mechanism of the catalogue, 1 of them perhaps something else."
+    )
+    assert verdict(sure) == "1 finding, consistent with a mechanism of the catalogue."
+
+
+def verdict(*findings: Finding) -> str:
+    return format_diagnosis(Diagnosis("explained", 100, 1.0, findings, (), {}, {}, 0.1)).splitlines()[0]
