@@ -200,6 +200,8 @@ def _shown(views: Sequence[View], about: About, sources: Sources, console: Conso
         for view in views:
             stack.enter_context(view.showing(about, sources))
             console.print(f"live={view.url}", highlight=False, markup=False, soft_wrap=True)
+            if view.url_elsewhere:
+                console.print(f"live_elsewhere={view.url_elsewhere}", highlight=False, markup=False, soft_wrap=True)
         yield
 
 

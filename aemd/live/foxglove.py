@@ -81,6 +81,7 @@ class Foxglove:
             raise UsageError(
                 f"--foxglove {address.authority}: {why}; name another port, or 0 for a free one"
             ) from error
+        self.url_elsewhere = ""
         self.url = f"ws://{Address(address.host, self._server.port).authority}"
 
     @contextmanager

@@ -20,7 +20,7 @@ from collections.abc import Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
-from socket import AF_INET, AF_INET6, SO_SNDBUF, SOL_SOCKET, socket
+from socket import AF_INET, AF_INET6, SO_SNDBUF, SOL_SOCKET, gaierror, gethostname, socket
 from socketserver import TCPServer
 from types import MappingProxyType
 from typing import Any
@@ -33,6 +33,8 @@ from aemd.live.metrics import CONTENT_TYPE, as_metrics
 
 __all__ = ["MOST_STREAMS", "Server"]
 
+EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 - read only
+"""Addresses that stand for all of this machine's, and the one to reach them by from here."""
 MOST_CONNECTIONS = 64  # each is a thread
 MOST_STREAMS = 32
 POLL_S = 0.5  # how soon `close` is heard
@@ -81,8 +83,7 @@ class Server:
         try:
             self._http = _Http(address)
         except OSError as error:
-            why = "is taken" if error.errno == errno.EADDRINUSE else (error.strerror or str(error)).lower()
-            raise UsageError(f"--live {address.authority}: {why}; name another port, or 0 for a free one") from error
+            raise UsageError(f"--live {address.authority}: {_obstacle(error)}") from error
         self.address = Address(address.host, self._http.server_port)
         self._token = token
         self._http.access = Access(self.address, token, hosts)
@@ -91,7 +92,14 @@ class Server:
     @property
     def url(self) -> str:
         """What to open in a browser on this machine, the token included."""
-        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.address.host, self.address.host)  # noqa: S104 - read only
+        return self._url(EVERYWHERE.get(self.address.host, self.address.host))
+
+    @property
+    def url_elsewhere(self) -> str:
+        """What to open on another machine that knows this one by its name; empty where `url` is the one to open."""
+        return self._url(gethostname()) if self.address.host in EVERYWHERE else ""
+
+    def _url(self, host: str) -> str:
         url = f"http://{Address(host, self.address.port).authority}/"
         return f"{url}?token={self._token}" if self._token else url
 
@@ -106,6 +114,15 @@ class Server:
             self._http.shutdown()
             self._thread.join()
         self._http.server_close()
+
+
+def _obstacle(error: OSError) -> str:
+    """Return why an address cannot be listened on, and the way out."""
+    if error.errno == errno.EADDRINUSE:
+        return "is taken; name another port, or 0 for a free one"
+    if error.errno == errno.EADDRNOTAVAIL or isinstance(error, gaierror):
+        return "is no address of this machine; leave it out, or name 0.0.0.0 for other machines to look, too"
+    return f"{(error.strerror or str(error)).lower()}; name another port, or 0 for a free one"
 
 
 class _Http(ThreadingHTTPServer):

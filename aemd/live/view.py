@@ -31,6 +31,10 @@ class View(Protocol):
     def url(self) -> str:
         """What to open."""
 
+    @property
+    def url_elsewhere(self) -> str:
+        """What to open on another machine; empty where that is the same, or none can."""
+
     def showing(self, about: About, sources: Sources) -> AbstractContextManager[None]:
         """Serve while inside."""
 
@@ -58,6 +62,11 @@ class Page:
     def url(self) -> str:
         """What to open in a browser."""
         return self._server.url
+
+    @property
+    def url_elsewhere(self) -> str:
+        """What to open on another machine, by this one's name; empty where that is the same, or none can."""
+        return self._server.url_elsewhere
 
     @contextmanager
     def showing(self, about: About, sources: Sources) -> Iterator[None]:

@@ -89,7 +89,7 @@ def acquiring(folder: Path, *options: str) -> Iterator[tuple[str, "subprocess.Po
         drain.start()
         yield said[-1].removeprefix("live=").strip(), process
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=30) == 0
+        assert process.wait(timeout=100) == 0
         drain.join()
     finally:
         process.kill()

@@ -5,6 +5,7 @@ import json
 import os
 import pty
 import re
+import socket
 import struct
 import subprocess
 import sys
@@ -52,6 +53,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("runtime")))
         patch.delenv("RUNTIME_DIRECTORY", raising=False)
+        patch.setattr("tempfile.tempdir", str(tmp_path_factory.mktemp("shared")))  # where other tests' are announced
         with acquiring(tmp_path_factory.mktemp("recordings")) as (url, _):
             yield url
 
@@ -189,3 +191,24 @@ def test_the_default_port_gives_way_where_it_is_taken_and_one_that_was_named_doe
             assert urlsplit(second[0].url).port not in {None, 0, port}
         with pytest.raises(UsageError, match="is taken"), open_views(str(port), LiveOptions()):
             pass
+
+
+def test_an_address_that_is_not_this_machines_is_refused_with_the_way_out() -> None:
+    # 192.0.2.0/24 is for documentation (RFC 5737): no machine has one.
+    for elsewhere in ("192.0.2.1:0", "no-such-machine.invalid:0"):
+        with (
+            pytest.raises(UsageError, match=r"is no address of this machine; leave it out"),
+            open_views(elsewhere, LiveOptions()),
+        ):
+            pass
+
+
+def test_a_page_for_other_machines_says_what_to_open_there() -> None:
+    with open_views("0.0.0.0:0", LiveOptions(token="0123456789abcdef")) as views:
+        here, there = urlsplit(views[0].url), urlsplit(views[0].url_elsewhere)
+    with open_views("127.0.0.1:0", LiveOptions()) as views:
+        alone = views[0].url_elsewhere
+
+    assert (there.hostname, there.port, there.query) == (socket.gethostname().lower(), here.port, here.query)
+    assert here.hostname == "127.0.0.1"
+    assert alone == ""
