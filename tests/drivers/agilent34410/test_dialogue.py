@@ -85,6 +85,19 @@ def test_the_journal_tells_whether_a_block_that_never_came_has_left_the_memory(
     assert dialogue.look().waiting >= before - torn
 
 
+def test_a_block_that_came_whole_is_not_torn_by_a_failure_after_it(
+    dialogue: Dialogue, bench: Bench, clock: SteppedClock
+) -> None:
+    clock.sleep(5.0)
+    dialogue.take(3)
+    bench.add([Fault("lost", (clock() - bench._on_ns) * 1e-9)])
+    with pytest.raises(InstrumentError):
+        dialogue.look()
+    dialogue.restore()
+
+    assert dialogue.take_torn() == 0
+
+
 def test_a_block_that_is_obeyed_long_after_it_was_given_up_is_noticed_and_counted(
     dialogue: Dialogue, bench: Bench, clock: SteppedClock
 ) -> None:
@@ -120,6 +133,45 @@ def test_a_meter_that_was_switched_off_meanwhile_has_no_journal(
     assert dialogue.is_restarted
 
 
+@pytest.mark.parametrize(
+    ("resource", "is_open_still"),
+    [
+        ("TCPIP0::192.0.2.1::inst0::INSTR", True),  # the last VXI-11 link's end would have the meter clear itself
+        ("USB0::0x0957::0x0607::MY1::INSTR", False),
+        ("ASRL/dev/ttyUSB0::INSTR", False),
+    ],
+)
+def test_a_line_that_only_one_can_have_is_closed_before_it_is_opened_again_and_another_afterwards(
+    resource: str, *, is_open_still: bool, dialogue: Dialogue, bench: Bench, clock: SteppedClock
+) -> None:
+    old, seen = dialogue._link, []
+    old.resource = resource  # type: ignore[misc]
+
+    def open_again() -> Tricky:
+        seen.append(old.is_open)
+        return Tricky(bench, clock)
+
+    dialogue._open_link, dialogue._rung = open_again, 2
+
+    assert dialogue.restore() == "opened again"
+    assert seen == [is_open_still]
+    assert not old.is_open
+
+
+def test_where_the_line_that_was_opened_again_is_silent_neither_stays_open(
+    dialogue: Dialogue, bench: Bench, clock: SteppedClock
+) -> None:
+    old, new = dialogue._link, Tricky(bench, clock)
+    old.resource = "TCPIP0::192.0.2.1::5025::SOCKET"  # type: ignore[misc]
+    bench.add([Fault("silent", (clock() - bench._on_ns) * 1e-9)])
+    dialogue._open_link, dialogue._rung = lambda: new, 2
+    with pytest.raises(InstrumentError, match="no whole answer"):
+        dialogue.restore()
+
+    assert not old.is_open
+    assert not new.is_open
+
+
 def test_another_meter_at_the_same_address_is_refused_by_name(dialogue: Dialogue, clock: SteppedClock) -> None:
     other = Bench(Meter(Slope(), clock, MeterProperties(identity="Agilent Technologies,34410A,OTHER,1")), clock)
     dialogue._open_link = lambda: Tricky(other, clock)
@@ -127,3 +179,4 @@ def test_another_meter_at_the_same_address_is_refused_by_name(dialogue: Dialogue
 
     with pytest.raises(InstrumentError, match=r"this is 'Agilent Technologies,34410A,OTHER,1' now, not"):
         dialogue.restore()
+    assert not dialogue._link.is_open
