@@ -98,8 +98,9 @@ class Tally:
         """Count one batch and its estimates."""
         self.counts.add(batch, estimates)
         self.estimate.add(estimates["value_V"])
-        usable = (batch.readings["status"] & NOT_A_VALUE) == 0
-        self.raw.add(batch.readings["value_V"][usable])
+        values_V = batch.readings["value_V"]
+        unusable = (batch.readings["status"] & NOT_A_VALUE) != 0
+        self.raw.add(values_V[~unusable] if unusable.any() else values_V)
         if batch.readings.size:
             self._add_steps(batch.readings["index"], batch.readings["t_ns"])
 

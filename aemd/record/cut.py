@@ -41,6 +41,9 @@ def cut(pieces: Iterable[Piece], batch_readings: int | None) -> Iterator[Piece]:
     held: list[Piece] = []
     count = 0
     for piece in pieces:
+        if batch_readings is None and len(held) == 1 and _are_apart(held[0], piece):
+            yield held.pop()
+            count = 0
         most = batch_readings or count
         held.append(piece)
         count += _readings(piece)
@@ -72,6 +75,16 @@ def make_batch(piece: Piece) -> tuple[Batch, Estimates]:
         },
     )
     return batch, piece[FILTERED].values if FILTERED in piece else np.empty(0, ESTIMATE)
+
+
+def _are_apart(piece: Piece, following: Piece) -> bool:
+    """Tell whether the first piece is a batch as it is: most are, and need no joining to be cut at the same place."""
+    if not (_readings(piece) and _readings(following)):
+        return False
+    last, first = piece[RAW].at[-1], following[RAW].at[0]
+    return all(
+        messages.at[-1] < last for topic, messages in piece.items() if len(messages.at) and topic not in (RAW, FILTERED)
+    ) and not (FILTERED in following and len(following[FILTERED].at) and following[FILTERED].at[0] < first)
 
 
 def _readings(piece: Piece) -> int:

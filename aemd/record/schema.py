@@ -124,6 +124,7 @@ _HEADER: list[tuple[str, str]] = [
 ]
 """A Message record up to its payload (MCAP specification, "Message")."""
 HEADER_BYTES = np.dtype(_HEADER).itemsize
+_BEGIN_BYTES = 11  # opcode, length and channel
 _FRAME_BYTES = 9  # opcode and length, which the length itself does not count
 _MOST_FIELDS = 15  # a field number beyond it takes a tag of two bytes
 
@@ -178,6 +179,22 @@ class Layout:
         row["channel"] = channel
         as_bytes = f"V{self.row.itemsize}"  # numpy would copy field by field
         rows.view(as_bytes)[:] = row.view(as_bytes)
+
+    def are_heads(self, octets: NDArray[np.uint8], at: int, stride: int, count: int, channel: int) -> bool:
+        """Tell whether a message of this length on that channel begins at each of these places, as far as heads tell.
+
+        Args:
+            octets: what holds them.
+            at: the first place.
+            stride: bytes from one to the next.
+            count: how many.
+            channel: of all of them.
+        """
+        head = self.blank.copy()
+        head["channel"] = channel
+        begin = head.tobytes()[:_BEGIN_BYTES]
+        # One walk through all of it: where there are a million bytes, each takes as long as the comparing.
+        return np.ndarray((count,), f"V{_BEGIN_BYTES}", octets, at, (stride,)).tobytes() == begin * count
 
     def are_rows(self, rows: Rows, channel: int) -> bool:
         """Tell whether each of these is a message of this type on that channel."""

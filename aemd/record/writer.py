@@ -37,7 +37,7 @@ from aemd.record.schema import (
     fill_rows,
     make_layout,
 )
-from aemd.record.turns import Seat, Turn, pack_turns, take_turns, turn_bytes
+from aemd.record.turns import Seat, Turn, Turns, take_turns, turn_bytes
 
 __all__ = ["CHUNK_BYTES", "Recorder"]
 
@@ -101,6 +101,7 @@ class Recorder:
             for topic in (RAW, FILTERED)
             if topic in self._ids
         ]
+        self._turns = Turns(self._seats)
         self._file = GrowingFile(
             path, schemas, channels, compression=compression, durability=durability, keep_room=keep_room
         )
@@ -267,7 +268,7 @@ class Recorder:
             parts.append((block[:wanted], estimates[:wanted])[:seats])
             wanted -= len(parts[-1][0])
             self._waiting_bytes -= len(parts[-1][0]) * width
-        self._rows = pack_turns(self._seats, parts, self._rows, self._log_time_ns)
+        self._rows = self._turns.pack(parts, self._rows, self._log_time_ns)
         self._log_time_ns = int(self._rows.log_time[-1])
         return True
 

@@ -8,20 +8,32 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.writer import IndexType, Writer
 
 from aemd.block import ESTIMATE, READING, Batch
 from aemd.record.reader import Recording
 from aemd.record.rows import EMPTY, Rows, Track, merge
-from aemd.record.schema import FILTERED, RAW, SCHEMA_DATA, SCHEMAS, fill_rows, make_layout
-from aemd.record.turns import Seat, pack_turns, take_turns
+from aemd.record.schema import (
+    FILTERED,
+    HEADER_BYTES,
+    RAW,
+    RECORDS,
+    SCHEMA_DATA,
+    SCHEMAS,
+    WITNESS,
+    WITNESS_PREFIX,
+    fill_rows,
+    make_layout,
+)
+from aemd.record.turns import Seat, Turns, take_turns
 from aemd.record.writer import Recorder
 from tests.record.made import DESCRIPTION, estimates_of, readings_of
 
 
-def _seat(channel: int, topic: str) -> Seat:
-    layout = make_layout(SCHEMA_DATA, SCHEMAS[topic], ["value"])
+def _seat(channel: int, schema: str) -> Seat:
+    layout = make_layout(SCHEMA_DATA, schema, ["value"])
     assert layout is not None
-    return Seat(channel, SCHEMAS[topic], layout)
+    return Seat(channel, schema, layout)
 
 
 def _sorted(seats: list[Seat], columns: tuple[np.ndarray, ...], not_before_ns: int) -> Rows:
@@ -43,7 +55,7 @@ def _sorted(seats: list[Seat], columns: tuple[np.ndarray, ...], not_before_ns: i
 def test_turns_are_packed_to_the_bytes_that_sorting_gives(
     channels: tuple[int, ...], steps: list[int], cuts: set[int], kept: int, not_before_ns: int
 ) -> None:
-    seats = [_seat(channel, topic) for channel, topic in zip(channels, (RAW, FILTERED), strict=False)]
+    seats = [_seat(channel, SCHEMAS[topic]) for channel, topic in zip(channels, (RAW, FILTERED), strict=False)]
     readings = readings_of(len(steps))
     readings["t_ns"] = np.cumsum(steps)
     columns = (readings, estimates_of(readings))[: len(seats)]
@@ -51,18 +63,20 @@ def test_turns_are_packed_to_the_bytes_that_sorting_gives(
     # What stands before is the end of an earlier run: whole turns, half of one, or nothing.
     earlier = readings_of(4)
     earlier["t_ns"] = 0
-    before = _sorted(seats, (earlier, estimates_of(earlier))[: len(seats)], 0) if kept else EMPTY
+    turns = Turns(seats)
+    before = turns.pack([(earlier, estimates_of(earlier))[: len(seats)]], EMPTY, 0) if kept else EMPTY
     _, before = before.split(max(len(before.start) - kept, 0))
+    octets = before.octets.tobytes()
     places = [0, *sorted(cut for cut in cuts if cut < len(steps)), len(steps)]
     parts = [tuple(values[a:b] for values in columns) for a, b in pairwise(places)]
 
     assert take_turns(parts)
-    packed = pack_turns(seats, parts, before, not_before_ns)
+    packed = turns.pack(parts, before, not_before_ns)
 
-    assert packed.octets.tobytes() == before.octets.tobytes() + wanted.octets.tobytes()
+    assert packed.octets.tobytes() == octets + wanted.octets.tobytes()
     assert packed.channel.tolist() == before.channel.tolist() + wanted.channel.tolist()
     assert packed.log_time.tolist() == before.log_time.tolist() + wanted.log_time.tolist()
-    assert packed.start.tolist() == [*before.start.tolist(), *(wanted.start + len(before.octets)).tolist()]
+    assert packed.start.tolist() == [*before.start.tolist(), *(wanted.start + len(octets)).tolist()]
     for rows in packed.split(len(packed.start) // 2):
         found = {channel: rows.start[mine].tolist() for channel, mine in rows.places().items()}
         assert list(found) == sorted(set(rows.channel.tolist()))
@@ -101,3 +115,38 @@ def test_estimates_that_no_topic_takes_leave_no_trace(tmp_path: Path) -> None:
 
     assert sum(chunks["with"]) == 3000
     assert chunks["with"] == chunks["without"]
+
+
+@pytest.mark.parametrize("order", ["rf rf rf", "rf rf fr rf", "fr fr fr f", "rrr", "rf rf rff", "rrff rf", "rrrw"])
+def test_messages_are_found_in_any_order_whatever_the_index_says(tmp_path: Path, order: str) -> None:
+    path = tmp_path / "r.mcap"
+    topics = {RAW: SCHEMAS[RAW], FILTERED: SCHEMAS[FILTERED], WITNESS_PREFIX + "w": WITNESS}
+    seats = {
+        name: _seat(number, schema)
+        for number, (name, schema) in enumerate(zip("rfw", topics.values(), strict=True), start=1)
+    }
+    readings = readings_of(8)
+    values = {"r": readings, "f": estimates_of(readings), "w": np.ones(8, RECORDS[WITNESS])}
+    taken = dict.fromkeys("rfw", 0)
+    with path.open("wb") as file:
+        writer = Writer(file, index_types=IndexType.NONE)
+        writer.start()
+        for topic, name in topics.items():
+            writer.register_channel(topic, "protobuf", writer.register_schema(name, "protobuf", SCHEMA_DATA))
+        for log_time, which in enumerate("r" + order.replace(" ", "")):
+            seat, number = seats[which], taken[which]
+            row = seat.layout.make_rows(1, seat.channel)
+            fill_rows(row, seat.schema, values[which][number : number + 1])
+            taken[which] += 1
+            payload = row.tobytes()[HEADER_BYTES:]
+            writer.add_message(seat.channel, log_time, payload, int(row["publish_time"][0]), number)
+            if log_time == 0:
+                writer.flush()  # a chunk of its own for schemas and channels, which the package puts into the first
+        writer.finish()
+
+    with Recording(path) as recording:
+        batches = list(recording.batches_with_estimates())
+
+    assert np.concatenate([batch.readings for batch, _ in batches]).tobytes() == readings[: taken["r"]].tobytes()
+    assert np.concatenate([made for _, made in batches]).tobytes() == values["f"][: taken["f"]].tobytes()
+    assert sum(len(batch.witnesses.get("w", ())) for batch, _ in batches) == taken["w"]
