@@ -30,7 +30,9 @@ _IMPOSSIBLE = 1e9  # nats a reading that what cannot be computed costs
 _LONGEST_STEP = 1.5  # of any free number at once; most are logarithms
 _CONVERGED = 1e-2  # nats that are not worth another step
 _CONVERGED_PER_READING = 3e-7  # in a long record a hundredth of a nat is far below what can be told
-_SLOW = 0.5  # nats, on a long record: two steps in a row that gain less are the last
+_SLOW = 0.5  # nats: two steps in a row that gain less are the last where each is costly
+_COSTLY = 1e7  # work of a step over all readings from which it is; see `Climb.work`
+_COSTLY_STEPS = 15  # at most, of such
 _FREE = 1e-2  # damping above which a small gain may be a short step's and not the top's
 _ONE_TOP = 0.3  # nats between climbs that have met on one top
 _FLAT = 0.1  # of what is worth a step: a free number that can gain no more stays
@@ -161,6 +163,11 @@ class Climb:
         return int(self._here.size)
 
     @property
+    def costly(self) -> bool:
+        """Whether a step is more than some hundredths of a second of work."""
+        return self.work * self.readings > _COSTLY
+
+    @property
     def worth(self) -> float:
         """Log-likelihood less cost."""
         return self.value - self.cost_nats
@@ -228,7 +235,7 @@ class Climb:
                 self.theta, self._here, self.value = trial, there, self.value + self.gained
                 self._damping = self._damping * 10.0 if turned else max(self._damping / 10.0, 1e-7)
                 self.done = self.gained < enough and promised < 10 * enough and self._damping < _FREE and not turned
-                self.done |= self.readings > _LONG and max(before, self.gained) < _SLOW and not turned
+                self.done |= self.costly and max(before, self.gained) < _SLOW and not turned
                 return
             self._damping *= 10.0
             if 0 <= promised < enough and not turned:  # short or turned for the sake of one number is not the top
@@ -270,6 +277,8 @@ def race(starts: Sequence[Climb], iterations: int) -> list[Climb]:
         first_steps = min(iterations, _FIRST_STEPS) if len(left) > _IN_HASTE else iterations
         patience, left = _LED_PATIENCE, _hopeful(_best_of_each_kind([one.led(first_steps) for one in left]))
         iterations = min(iterations, _LAST_STEPS)
+    elif left[0].costly:
+        iterations = min(iterations, _COSTLY_STEPS)
     for count in range(1, iterations + 1):
         for one in left:
             if not one.done:
