@@ -34,12 +34,14 @@ from aemd.record.disk import NO_ROOM, keep_room, sync_folder, take_name, why
 from aemd.record.rows import Rows
 from aemd.record.summary import Summary, encode
 
-__all__ = ["ZSTD_LEVEL", "Compression", "Durability", "GrowingFile", "compressor_for"]
+__all__ = ["UNDER_ANOTHER_NAME", "ZSTD_LEVEL", "Compression", "Durability", "GrowingFile", "compressor_for"]
 
 Compression = Literal["zstd", "zstd-fast", "none"]
 """Fast takes half the time to pack and to unpack, and 2 to 6 % more room: for what can be made again from a file."""
 Durability = Literal["power", "crash"]
 
+UNDER_ANOTHER_NAME = "; make room, and record under another name"
+"""The way out of a disk's refusal, at the end of its message."""
 ZSTD_LEVEL = 1  # level 3 saves less than one per cent of readings, whose last digits are noise
 _FAST: dict[str, int] = {
     "strategy": zstandard.STRATEGY_FAST,
@@ -287,5 +289,5 @@ class GrowingFile:
                     keep_room(self._fd, self._good_bytes, self._summary.size_bytes + _END_BYTES)
         raise RecordingError(
             f"{self.active}: cannot be written: {why(error)}; its first {self._good_bytes} bytes are kept and "
-            "readable; make room, and record under another name"
+            f"readable{UNDER_ANOTHER_NAME}"
         ) from error

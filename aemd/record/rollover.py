@@ -25,6 +25,7 @@ from aemd.block import ESTIMATE, READING, Batch, Estimates, Event
 from aemd.errors import RecordingError
 from aemd.record.counts import Counts
 from aemd.record.disk import free_bytes
+from aemd.record.growing import UNDER_ANOTHER_NAME
 from aemd.record.writer import Recorder
 
 __all__ = ["Rollover", "Segment", "State"]
@@ -268,10 +269,10 @@ class Rollover:
         if recorder is None:
             return
         self._is_due = False
-        self._trouble = why_it_stops
+        self._trouble = why = why_it_stops.removesuffix(UNDER_ANOTHER_NAME)  # that is done here
         self._retry_ns = self._clock() + round(_RETRY_S * 1e9)
         self._stopped = recorder
-        self._tell(f"recording=stopped file={recorder.path} why={why_it_stops!r}")
+        self._tell(f"recording=stopped file={recorder.path} why={why!r} then='goes on by itself when it can'")
         if self._finisher is not None:
             self._finisher.join()
         self._finish_behind(recorder, "disk-full")

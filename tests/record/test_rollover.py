@@ -176,6 +176,8 @@ def test_below_min_free_bytes_the_file_is_finished_and_it_goes_on_by_itself(tmp_
     assert f"{len(missing)} readings not written" in event.message
     assert [replay(path, check=True).identical for path in paths] == [True, True]
     assert [line.split(" ")[0] for line in run.lines] == ["recording=stopped", "recording=resumed"]
+    assert run.lines[0].endswith("then='goes on by itself when it can'")
+    assert "record under another name" not in run.lines[0]  # nobody is asked to
 
 
 @pytest.fixture
