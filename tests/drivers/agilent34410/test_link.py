@@ -229,9 +229,11 @@ def test_a_vxi_11_server_that_gives_out_no_link_is_quoted_in_words(error: int, s
 
         def serve() -> None:
             with listener.accept()[0] as line:
+                line.settimeout(60)
                 line.recv(1)  # the knock, which says nothing
             line, _ = listener.accept()
             with line:
+                line.settimeout(60)
                 call = line.recv(100)
                 answer = struct.pack(">9I", 1, 0, 0, 0, 0, error, 0, 0, 0)
                 line.sendall(struct.pack(">I", 1 << 31 | 4 + len(answer)) + call[4:8] + answer)
