@@ -132,7 +132,7 @@ class Feed:
             now_ns = self._clock()
             if items:
                 self._history.add(items)
-            self._health.see(counts.readings, self._sources.unwritten(), now_ns)
+            self._health.see(counts.readings, self._sources.unwritten(), now_ns, counts.t1_ns)
             if now_ns - self._slow_ns >= SLOW_S * 1e9:
                 self._slow_ns = now_ns
                 self._look_slowly()

@@ -15,6 +15,8 @@ PATIENCE_INTERVALS = 5
 """Without a reading, however long an interval is; without progress in writing."""
 RATE_S = 10.0
 """Over which the rate is taken."""
+QUIET_S = 1.0
+"""And PATIENCE_INTERVALS: where no reading comes for longer, that time counts, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +68,11 @@ class Health:
         self._came = self._written = 0
         self._came_ns = self._written_ns = now_ns
         self._waiting = 0
-        self._seen: deque[tuple[int, int]] = deque([(now_ns, 0)])
+        self._quiet_ns = round(max(QUIET_S, PATIENCE_INTERVALS * interval_s) * 1e9)
+        self._seen: deque[tuple[int, int, int]] = deque([(now_ns, 0, 0)])
 
-    def see(self, came: int, waiting: int, now_ns: int) -> None:
-        """Note how many readings have come so far, and how many of them wait to be written."""
+    def see(self, came: int, waiting: int, now_ns: int, newest_ns: int) -> None:
+        """Note how many readings have come so far, how many wait to be written, and the newest one's instant."""
         written = came - waiting
         if came != self._came:
             self._came, self._came_ns = came, now_ns
@@ -78,15 +81,17 @@ class Health:
         self._waiting = waiting
         if not self._seen[-1][1]:  # nothing had come: the rate is that since the first did
             self._seen.clear()
-        self._seen.append((now_ns, came))
+        self._seen.append((now_ns, came, newest_ns))
         while len(self._seen) > 2 and now_ns - self._seen[1][0] >= RATE_S * 1e9:
             self._seen.popleft()
 
     @property
     def rate_hz(self) -> float:
-        """Readings per second of the last seconds."""
-        (begin_ns, before), (end_ns, now) = self._seen[0], self._seen[-1]
-        return (now - before) / ((end_ns - begin_ns) * 1e-9) if end_ns > begin_ns else 0.0
+        """Readings per second of the last seconds, by their own instants; it falls while none comes."""
+        (_, before, begin_ns), (now_ns, now, end_ns) = self._seen[0], self._seen[-1]
+        quiet_ns = now_ns - self._came_ns
+        span_ns = end_ns - begin_ns + (quiet_ns if quiet_ns > self._quiet_ns else 0)
+        return (now - before) / (span_ns * 1e-9) if span_ns > 0 else 0.0
 
     def uptime_s(self, now_ns: int) -> float:
         """Return how long this has been watched, s."""

@@ -255,9 +255,15 @@ def test_bins_of_the_finest_level_are_a_millisecond() -> None:
     assert bin_ns(0) == pytest.approx(1e6, rel=0.05)
 
 
-def test_the_rate_is_that_since_readings_come_however_long_the_instrument_took_to_begin() -> None:
-    health = Health(0.1, now_ns=0)
-    for second in range(8):
-        health.see(came=max(0, 10 * (second - 4)), waiting=0, now_ns=second * 10**9)
+def test_the_rate_is_that_of_the_readings_own_instants_since_they_come_and_falls_while_none_does() -> None:
+    """However long the instrument took to begin, and however they are bunched when they come."""
+    health = Health(0.07, now_ns=0)
+    for tick in range(100):
+        came = max(0, 2 * ((tick - 20) // 3))
+        health.see(came, waiting=0, now_ns=tick * 10**8, newest_ns=round(came * 0.07e9))
+    rate_hz = health.rate_hz
+    for tick in range(100, 150):
+        health.see(came, waiting=0, now_ns=tick * 10**8, newest_ns=round(came * 0.07e9))
 
-    assert health.rate_hz == 10.0
+    assert rate_hz == pytest.approx(1 / 0.07)
+    assert 0 < health.rate_hz < 0.6 / 0.07
