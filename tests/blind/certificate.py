@@ -13,7 +13,8 @@ imitate the effect, as they can a step. Kind of D by cause, in KINDS below:
     path         telegraph noise: the mean's D of the path as drawn, less what the path itself costs who does not know
                  it, ln(stay/interval) + 1 for each jump (a lower bound)
     innovation   noise that is not Gaussian or not stationary: as if innovations were independent, with their variance;
-                 of heavy tails, against a plant whose shocks fade within a reading, which imitates them well
+                 of heavy tails, against a plant whose shocks fade within a reading, which imitates them well; of noise
+                 that grows with the reading, given the readings as drawn
     counted      nothing is refitted: the effect is seen by counting, and a size is drawn instead of a D
 """
 
@@ -70,6 +71,8 @@ def d_nats(run: Run, effect: Effect) -> float:
     kind, theta = KINDS[effect.cause], numbers(plant)
     if kind == "counted":
         return float("nan")
+    if effect.cause == "signal_dependent_noise":
+        return louder_kl(run, effect)
     if kind == "innovation":
         return n * innovation_kl(plant, effect, len(make_world(run).shocks))
     clean_s = spectrum(theta, plant)
@@ -272,6 +275,18 @@ EXTENDED: dict[str, Callable[[np.ndarray, Effect, Plant], np.ndarray]] = {
 # --- innovations ------------------------------------------------------------------------------------------------------
 
 
+def louder_kl(run: Run, effect: Effect) -> float:
+    """Return the nats of noise that grows with the reading, given the readings as drawn.
+
+    Each innovation's variance against their mean, which a refitted plant has for all. What counts is how much the slow
+    part of the input moves against its level, and a record of a few turns of it may move much or little.
+    """
+    plant = run.plant
+    variance = exp(float(np.mean(np.log(spectrum(numbers(plant), plant)))))
+    each = variance + effect.size**2 * calm(replace(run, plant=replace(plant, white_sd_V=0.0))) ** 2
+    return 0.5 * float(np.sum(np.log(np.mean(each) / each)))
+
+
 def innovation_kl(plant: Plant, effect: Effect, shocks: int) -> float:
     """Return nats per reading of noise that is not Gaussian, or not of one variance."""
     variance = exp(float(np.mean(np.log(spectrum(numbers(plant), plant)))))  # of one innovation (Kolmogorov)
@@ -279,12 +294,6 @@ def innovation_kl(plant: Plant, effect: Effect, shocks: int) -> float:
         positive = (1 + effect.size) / 2
         odds = np.array([positive, 1 - positive])
         return shocks * float(np.sum(odds * np.log(2 * odds, where=odds > 0, out=np.zeros(2)))) / plant.n
-    if effect.cause == "signal_dependent_noise":
-        nodes, weights = np.polynomial.hermite_e.hermegauss(61)
-        spread = np.sum(np.exp(numbers(plant)[[0, 2]]))
-        each = variance + effect.size**2 * spread * nodes**2
-        weights = weights / weights.sum()
-        return (log(weights @ each) - weights @ np.log(each)) / 2
     share = effect.size * plant.white_sd_V**2 / variance  # heavy_tails; in units of the innovation's sd
     grid = np.linspace(-25, 25, 20_001)
     scale = sqrt(share / 3)

@@ -184,8 +184,8 @@ def changing_noise(world: World, effect: Effect, white: np.ndarray, value: np.nd
 
 
 def signal_dependent_noise(world: World, effect: Effect, white: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """size: standard deviation of the gain."""
-    return white + effect.size * (value - value.mean()) * world.rng("gain").standard_normal(white.size)
+    """size: standard deviation of the gain, which multiplies the input as it is, counted from 0 V."""
+    return white + effect.size * value * world.rng("gain").standard_normal(white.size)
 
 
 def heavy_tails(world: World, effect: Effect, white: np.ndarray, value: np.ndarray) -> np.ndarray:

@@ -221,6 +221,17 @@ def test_the_twin_without_the_effect_has_the_same_noise():
     assert with_it - without == pytest.approx(template(RUN, effect) * 1e-2, abs=1e-15)
 
 
+def test_a_gain_that_flickers_multiplies_what_is_counted_from_0_V():
+    run = Run(replace(PLANT, n=1500, level_V=0.05), 3)
+    with_it, without = (
+        make_record(replace(run, effects=effects)).value_V
+        for effects in ((Effect("signal_dependent_noise", 0.01),), ())
+    )
+
+    # 1 % of 50 mV, of which sqrt(1 / 3000) by chance; the input's own 1.4 mV would make 14 uV about its mean.
+    assert np.std(with_it - without) == pytest.approx(5e-4, rel=0.08)
+
+
 def test_an_envelope_depends_on_its_salt_and_number_alone():
     first, again, other = draw_envelope("salt", 1), draw_envelope("salt", 1), draw_envelope("pepper", 1)
 
