@@ -221,7 +221,7 @@ def test_the_twin_without_the_effect_has_the_same_noise():
     assert with_it - without == pytest.approx(template(RUN, effect) * 1e-2, abs=1e-15)
 
 
-def test_a_gain_that_flickers_multiplies_what_is_counted_from_0_V():
+def test_a_gain_that_flickers_multiplies_what_is_counted_from_zero_volts():
     run = Run(replace(PLANT, n=1500, level_V=0.05), 3)
     with_it, without = (
         make_record(replace(run, effects=effects)).value_V
