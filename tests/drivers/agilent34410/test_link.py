@@ -1,7 +1,9 @@
+import os
 import re
 import select
 import socket
 import struct
+import termios
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
@@ -10,6 +12,7 @@ from threading import Event
 import pytest
 
 from aemd.errors import InstrumentError
+from agilent34410 import Options
 from agilent34410.link import Link, open_link
 from tests.drivers.agilent34410.bench import served, stranger, unused_resource
 
@@ -244,6 +247,20 @@ def test_a_vxi_11_server_that_gives_out_no_link_is_quoted_in_words(error: int, s
         with pytest.raises(InstrumentError, match=f"it gives out no link: {says}; "):
             opened(f"TCPIP0::127.0.0.1,{listener.getsockname()[1]}::inst0::INSTR")
         served.result()
+
+
+def test_a_serial_line_has_the_speed_and_the_flow_control_that_are_asked_for() -> None:
+    master, slave = os.openpty()
+    try:
+        asked = Options(baud_rate=115_200, flow_control="rts_cts").serial_line
+        with closing(open_link(f"ASRL{os.ttyname(slave)}::INSTR", 1.0, asked)):
+            _, _, control, _, in_speed, out_speed, _ = termios.tcgetattr(slave)
+    finally:
+        os.close(slave)
+        os.close(master)
+
+    assert in_speed == out_speed == termios.B115200
+    assert control & termios.CRTSCTS
 
 
 def test_closing_one_link_leaves_another_open() -> None:
