@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -22,6 +23,9 @@ Floats = NDArray[np.float64]
 
 BINS = 2000
 """Columns of the picture: more than two readings in each are drawn as their least and their greatest."""
+PIECE_POINTS = 200
+"""A line is painted in pieces of so many points: painted whole, one that goes up and down in every column takes some
+tens of megabytes, and more the farther it goes."""
 LARGEST = 1e100
 """Beyond it the arithmetic of axes overflows; what is drawn as this is off every chart."""
 SPANS = 500
@@ -92,7 +96,8 @@ def draw(path: Path, picture: Path, *, selection: Selection | None = None, conso
         axis.grid(visible=True, alpha=0.3)
         axis.spines[["top", "right"]].set_visible(False)
     try:
-        figure.savefig(picture)
+        with rc_context({"agg.path.chunksize": PIECE_POINTS}):
+            figure.savefig(picture)
     except (OSError, ValueError) as error:
         raise RecordingError(f"{picture}: cannot write the picture: {error}; name a .png, .pdf or .svg") from error
 
