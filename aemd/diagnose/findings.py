@@ -13,7 +13,7 @@ from aemd.diagnose.evidence import Defect, Evidence
 from aemd.diagnose.figures import remark_on
 from aemd.diagnose.fit import Fit, refit, restart_base
 from aemd.diagnose.gain import SLOW, HeldOut, block_of, measure_gain
-from aemd.diagnose.goodness import leaves_a_wave, share_a_period, why_unfit
+from aemd.diagnose.goodness import leaves_a_line, leaves_a_wave, share_a_period, why_unfit
 from aemd.diagnose.hypothesis import Data, Term
 from aemd.diagnose.intervals import covariance, describe
 from aemd.diagnose.naming import Named
@@ -94,6 +94,8 @@ def judge(finding: Finding, found: Named) -> tuple[Finding, bool]:
     if finding.remark:  # its figures are wrong as stated, whatever predicts better
         return finding, True
     gain, name = finding.gain, found.names[0].replace("_", " ")
+    witness = getattr(found.term, "witness", "")
+    name += f" with the {witness.replace('_', ' ')}" if witness else ""
     lag = finding.parameters.get("lag_s")
     if gain.nats_total <= 0:
         why = f"which fits but does not predict held-out blocks ({gain.nats_total:+.1f} nats)"
@@ -240,6 +242,8 @@ def _part_of_a_wave(fit: Fit, number: int) -> str:
         return "another finding comes again with it, as parts of one wave do"
     if leaves_a_wave(fit, number):
         return "a wave of its own period is left beside it"
+    if leaves_a_line(fit, number):
+        return "a line stands in its band still, and some lines beside each other pass for one"
     return ""
 
 

@@ -10,19 +10,21 @@ A failure is no finding: it says that a name which stands is only the nearest.
 """
 
 from collections.abc import Sequence
+from math import exp
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from aemd.diagnose.evidence import Evidence
+from aemd.diagnose.evidence import Evidence, exceedance_of_peaks
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.hypothesis import Term
 from aemd.diagnose.terms.events import PeriodicGlitch
 from aemd.diagnose.terms.lines import Sines
+from aemd.diagnose.terms.noise import Resonance
 
-__all__ = ["FITS", "check_steadiness", "leaves_a_wave", "share_a_period", "why_unfit"]
+__all__ = ["FITS", "check_steadiness", "leaves_a_line", "leaves_a_wave", "share_a_period", "why_unfit"]
 
 Floats = NDArray[np.float64]
 
@@ -36,6 +38,8 @@ _COSINES = (3, 12)
 _LEAST = 20
 """Readings for each of them."""
 _HARMONICS = 6
+_BAND = 1.5
+"""Half widths of a resonance at half its power that are its band."""
 
 
 def why_unfit(fit: Fit, evidence: Sequence[Evidence]) -> str:
@@ -133,6 +137,22 @@ def leaves_a_wave(fit: Fit, number: int) -> bool:
     turns = np.outer(np.arange(1, _HARMONICS + 1), fit.data.t_s[used] / term.period_s)
     power = np.abs(np.exp(2j * np.pi * turns) @ fit.z[used]) ** 2 / fit.data.n
     return float(chi2.sf(2 * float(power.sum()), 2 * _HARMONICS)) < FITS
+
+
+def leaves_a_line(fit: Fit, number: int) -> bool:
+    """Return whether a line stands in a resonance's band still: some lines beside each other pass for a resonance.
+
+    It follows them as they beat, and gains by that, but it whitens the band as a whole; the lines stay in it.
+    """
+    term = fit.terms[number]
+    if not isinstance(term, Resonance):
+        return False
+    theta, data = fit.parts_of(number), fit.data
+    tau_s, span_s = exp(float(theta[0])), data.span_s
+    centre_hz, half_hz = term.frequency_hz + theta[1] / term.tau_s, max(_BAND / (np.pi * tau_s), 4 / span_s)
+    band = np.abs(np.fft.rfftfreq(data.y.size, data.interval_s) - centre_hz) < half_hz
+    power = np.abs(np.fft.rfft(np.where(data.used, fit.z, 0.0))) ** 2 / data.n
+    return bool(band.any()) and exceedance_of_peaks(float(power[band].max()), 2 * half_hz * span_s) < FITS
 
 
 def _rate_hz(fit: Fit, number: int) -> float | None:

@@ -114,7 +114,7 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
     winner = residuals(best.terms, best.theta, fit.data)
     refused = ""
     if best.terms[-1].cause == "unexplained":
-        refused = "which explains less than what is not in the catalogue does"
+        refused = "but something that is not in the catalogue explains more"
         causes = [rival.terms[-1].cause for rival in ranked] + [term.cause for term in candidates]
         names = [next((cause for cause in causes if cause != "unexplained"), "nothing of the catalogue")]
     else:

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from aemd.diagnose import criticise
-from aemd.diagnose.fit import fit_base
-from aemd.diagnose.goodness import FITS, check_steadiness, leaves_a_wave, share_a_period
+from aemd.diagnose.fit import fit_base, residuals
+from aemd.diagnose.goodness import FITS, check_steadiness, leaves_a_line, leaves_a_wave, share_a_period
 from aemd.diagnose.hypothesis import make_data
 from aemd.diagnose.terms.events import PeriodicGlitch
 from aemd.diagnose.terms.lines import Sines
+from aemd.diagnose.terms.noise import Resonance
 from tests.diagnose.plant import INTERVAL_S, N, clean, series, times
 
 MET_WITH_HUMPS = [33, 6]
@@ -95,6 +96,19 @@ def test_what_a_train_of_pulses_leaves_at_its_own_period_is_told(fit):
     assert not leaves_a_wave(drawn(trains, z), 2)
     assert leaves_a_wave(drawn(trains, z + wave), 2)
     assert not leaves_a_wave(drawn(trains, z + wave), 1)
+
+
+def test_a_resonance_that_leaves_a_line_in_its_band_may_be_some_lines(fit):
+    """D = A^2 n / 4 = 40 nats, where one of the band's 40 cells exceeds 13 in ten thousandths of cases."""
+    term = Resonance(2.0, 5.0, 5.0, 1.0, 0.0)
+    resonant = residuals([*fit.terms, term], np.concatenate((fit.theta, term.start)), fit.data)
+    z = np.random.default_rng(13).standard_normal(N)
+    inside, outside = (0.2 * np.sin(2 * np.pi * hz * times()) for hz in (2.05, 3.0))
+
+    assert not leaves_a_line(drawn(resonant, z), 1)
+    assert leaves_a_line(drawn(resonant, z + inside), 1)
+    assert not leaves_a_line(drawn(resonant, z + outside), 1)
+    assert not leaves_a_line(drawn(resonant, z + inside), 0)
 
 
 def test_a_sawtooth_is_neither_a_line_nor_pulses():
