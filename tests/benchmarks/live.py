@@ -1,7 +1,8 @@
 """The live page's price: 8 viewers at 10,000 readings/s beside none; the idle process at 15 Hz; the start.
 
 The simulated meter and the viewers run in processes of their own, as a bench's meter and a user's browser do. Viewers
-read the page's stream, which is all that a browser asks for while the page is open.
+read the page's stream, which is all that a browser asks for while the page is open. What they take of the processors
+themselves is no fault of the page: so a third case has as many of them read as much from another program.
 """
 
 import re
@@ -11,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,26 @@ def read(number):
             pass
 threads = [threading.Thread(target=read, args=(number,)) for number in range(int(sys.argv[2]))]
 [thread.start() for thread in threads]
+"""
+
+FRAME_BYTES = {5: 5900, 60: 1200, 600: 900, 3600: 900}
+"""What the page sends ten times a second, by the span that is shown."""
+OTHER = """
+import re, socket, sys, threading, time
+sizes = dict(zip((5, 60, 600, 3600), map(int, sys.argv[1:])))
+listening, viewers = socket.create_server(("127.0.0.1", 0)), []
+print(f"http://127.0.0.1:{listening.getsockname()[1]}/", flush=True)
+def welcome():
+    while True:
+        viewer = listening.accept()[0]
+        span_s = int(re.search(rb"span_s=([0-9]+)", viewer.recv(4096))[1])
+        viewer.sendall(b"HTTP/1.1 200 OK\\r\\nContent-Type: text/event-stream\\r\\nConnection: close\\r\\n\\r\\n")
+        viewers.append((viewer, b"data: " + b"1" * sizes[span_s] + b"\\n\\n"))
+threading.Thread(target=welcome, daemon=True).start()
+while True:
+    time.sleep(0.1)
+    for viewer, frame in viewers:
+        viewer.sendall(frame)
 """
 
 FIRST_READING = """
@@ -95,29 +116,46 @@ def main() -> None:
         measure_idle(folder)
 
 
+@contextmanager
+def viewed_elsewhere(viewers: int) -> Iterator[None]:
+    """Let so many viewers read as much from another program as they would from the page."""
+    command = [sys.executable, "-c", OTHER, *map(str, FRAME_BYTES.values())]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        try:
+            with viewed(other.stdout.readline().strip(), viewers):
+                yield
+        finally:
+            other.kill()
+
+
 def compare_viewers(folder: Path) -> None:
-    """Acquire 10,000 readings/s with and without viewers, in turns."""
+    """Acquire 10,000 readings/s without viewers, with them, and beside as many of another program, in turns."""
+    cases = ("no viewers", f"{VIEWERS} viewers", f"{VIEWERS} of another program")
+    latency_ms: dict[str, list[float]] = {case: [] for case in cases}
+    lost, cpu = dict.fromkeys(cases, 0), dict.fromkeys(cases, 0.0)
     with served(METER.format(resource="sim", rest=SIMULATOR), folder) as resource:
         client = folder / "client.toml"
         client.write_text(METER.format(resource=resource, rest=""))
-        latency_ms: dict[int, list[float]] = {0: [], VIEWERS: []}
-        lost, cpu = {0: 0, VIEWERS: 0}, {0: 0.0, VIEWERS: 0.0}
-        for _ in range(ROUNDS):
-            for viewers in latency_ms:
-                found, watch, used_s = acquire_viewed(client, folder, viewers)
-                latency_ms[viewers] += [ns * 1e-6 for ns in watch.latency_ns]
-                lost[viewers] += found.lost
-                cpu[viewers] += used_s
-    print(f"live: {ROUNDS} x {ROUND_S:.0f} s at 10,000 readings/s, in turns without and with {VIEWERS} viewers")
-    for viewers, values in latency_ms.items():
-        p50, p99, p999 = np.percentile(values, [50, 99, 99.9])
-        share = 100 * cpu[viewers] / (ROUNDS * ROUND_S)
+        for case in ROUNDS * cases:
+            with viewed_elsewhere(VIEWERS) if case == cases[2] else nullcontext():
+                found, watch, used_s = acquire_viewed(client, folder, VIEWERS if case == cases[1] else 0)
+            latency_ms[case] += [ns * 1e-6 for ns in watch.latency_ns]
+            lost[case] += found.lost
+            cpu[case] += used_s
+    print(f"live: {ROUNDS} x {ROUND_S:.0f} s of each at 10,000 readings/s, in turns")
+    p999 = {}
+    for case, values in latency_ms.items():
+        p50, p99, p999[case] = np.percentile(values, [50, 99, 99.9])
+        share = 100 * cpu[case] / (ROUNDS * ROUND_S)
         print(
-            f"  {viewers} viewers  lost {lost[viewers]}, latency p50 {p50:.2f} ms, p99 {p99:.2f} ms,"
-            f" p99.9 {p999:.2f} ms, CPU {share:.1f} % of a core"
+            f"  {case:20} lost {lost[case]}, latency p50 {p50:.2f} ms, p99 {p99:.2f} ms,"
+            f" p99.9 {p999[case]:.2f} ms, CPU {share:.1f} % of a core"
         )
-    ratio = np.percentile(latency_ms[VIEWERS], 99.9) / np.percentile(latency_ms[0], 99.9)
-    print(f"  p99.9 with / without viewers: {ratio:.2f}")
+    without, viewed_here, viewed_there = p999.values()
+    print(
+        f"  p99.9 with / without viewers: {viewed_here / without:.2f}; of another program: {viewed_there / without:.2f}"
+    )
 
 
 def acquire_viewed(config: Path, folder: Path, viewers: int) -> tuple[AcquireSummary, Watch, float]:

@@ -34,7 +34,7 @@ class _Gate:
             self.empty.set()
             return
         self.entered.set()
-        assert self.go.wait(10)
+        assert self.go.wait(60)
         self.threads.add(threading.current_thread().name)
         if self.error is not None:
             raise self.error
@@ -69,7 +69,7 @@ def test_what_the_sink_has_not_taken_is_in_flight_and_a_full_queue_makes_the_cal
     sink, readings = _Gate(), readings_of(4)
     background = Background(sink, queue_batches=2)
     background.write(Batch(readings[:1]), NO_ESTIMATES)
-    assert sink.entered.wait(10)
+    assert sink.entered.wait(60)
     background.write(Batch(readings[1:2]), NO_ESTIMATES)
     background.write(Batch(readings[2:3]), NO_ESTIMATES)
     waits = threading.Thread(target=background.write, args=(Batch(readings[3:]), NO_ESTIMATES))
@@ -79,7 +79,7 @@ def test_what_the_sink_has_not_taken_is_in_flight_and_a_full_queue_makes_the_cal
     assert waits.is_alive()
     assert background.in_flight == 4
     sink.go.set()
-    waits.join(10)
+    waits.join(60)
     background.close("x")
     assert (sink.taken, background.in_flight) == ([0, 1, 2, 3], 0)
     assert sink.threads == {"aemd-_gate"}
@@ -89,7 +89,7 @@ def test_what_the_sink_raises_reaches_a_caller_that_waits_for_it() -> None:
     sink = _Gate(RecordingError("disk full"))
     background = Background(sink, queue_batches=1)
     background.write(Batch(readings_of(1)), NO_ESTIMATES)
-    assert sink.entered.wait(10)
+    assert sink.entered.wait(60)
     background.write(Batch(readings_of(1)), NO_ESTIMATES)
     sink.go.set()
 
@@ -115,7 +115,7 @@ def test_a_sink_to_which_nothing_comes_may_look_at_its_clock() -> None:
     sink = _Gate()
     background = Background(sink, tick_s=0.01)
 
-    assert sink.empty.wait(10)
+    assert sink.empty.wait(60)
     background.discard()
     assert sink.closed
 
@@ -125,5 +125,5 @@ def test_a_sink_that_is_due_is_not_left_to_wait_for_the_next_batch() -> None:
     sink.due_in_s = 0.01
     background = Background(sink, tick_s=60.0)
 
-    assert sink.empty.wait(10)
+    assert sink.empty.wait(60)
     background.discard()
