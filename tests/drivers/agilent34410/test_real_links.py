@@ -89,6 +89,16 @@ def test_after_a_timeout_the_link_is_cleared_and_answers_the_next_question(link:
         assert "34410A" in answer
 
 
+def test_what_a_program_that_was_killed_had_asked_for_over_usb_is_no_error_of_ours() -> None:
+    with served(counting_bench(clock := HandClock())) as resources:
+        killed = open_link(resources["usb"], 60.0)
+        killed.write("SYST:VERS?")  # it never reads the answer, nor closes the line
+        with closing(killed), closing(agilent34410.open_instrument(resources["usb"], PATIENT, clock)) as instrument:
+            instrument.start()
+
+            assert instrument.drain(1).messages == ()
+
+
 @pytest.mark.parametrize("answers", [True, False], ids=["it hangs up", "nobody listens"])
 def test_a_vxi_11_link_that_cannot_be_made_leaves_no_socket_open(answers: bool) -> None:
     with closing(socket.create_server(("127.0.0.1", 0))) as listener, ThreadPoolExecutor(1) as pool:

@@ -1,6 +1,7 @@
 """What the meter told once, and what state it is in, after a link that failed in the middle: without a socket."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
@@ -150,6 +151,26 @@ def test_a_meter_that_was_switched_off_keeps_no_settings_though_they_be_alike(
             clock.sleep(0.5)
 
     assert not recovery.settings_kept
+
+
+def test_a_meter_that_is_to_be_begun_afresh_is_given_its_settings_again(driven: Driven) -> None:
+    assert driven.recover().settings_kept
+    Line.said.clear()
+    recovery = driven.recover(afresh=True)
+    driven.start()
+
+    assert not recovery.settings_kept
+    assert not recovery.sampling
+    assert any("*RST" in command for command in Line.said)
+
+
+def test_a_meter_that_comes_back_with_another_interval_is_refused_as_often_as_it_is_tried(driven: Driven) -> None:
+    driven.recover(afresh=True)
+    driven._options = replace(OPTIONS, interval_s=2 * INTERVAL_S)  # what it would take instead
+    for _ in range(2):
+        with pytest.raises(InstrumentError, match="does not take its settings again"):
+            driven.start()
+        assert driven.interval_s == pytest.approx(INTERVAL_S)
 
 
 def test_a_stranger_at_the_old_address_is_asked_who_it_is_and_nothing_more(driven: Driven, clock: SteppedClock) -> None:
