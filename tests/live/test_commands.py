@@ -68,7 +68,7 @@ def test_status_finds_the_running_acquisition_and_says_how_it_fares(running: str
 
 def test_status_as_json_stands_alone_and_its_readings_grow(running: str, aemd: Run) -> None:
     first = json.loads(aemd("status", "--json")[1])
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 60
     while (second := json.loads(aemd("status", running, "--json")[1]))["readings"] <= first["readings"]:
         assert time.monotonic() < deadline
 

@@ -33,7 +33,7 @@ class Visit:
             "return {...c.dataset, picture: c.toDataURL(), from: Number(c.dataset.begin), to: Number(c.dataset.end)}"
         )
 
-    def wait(self, condition: Callable[[], Any], seconds: float = 20.0) -> Any:
+    def wait(self, condition: Callable[[], Any], seconds: float = 60.0) -> Any:
         deadline = time.monotonic() + seconds
         while not (found := condition()):
             assert time.monotonic() < deadline, "it never came"
@@ -60,7 +60,7 @@ def visit(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Visit]:
     with browsing() as browser, acquiring(folder) as (url, process):
         browser.get(url)
         here = Visit(browser, process, folder)
-        here.wait(lambda: int(here.chart().get("cells", 0)) > 20, 40)
+        here.wait(lambda: int(here.chart().get("cells", 0)) > 20)
         yield here
         assert complaints(browser) == []
         assert requested(browser) <= {"127.0.0.1"}
@@ -100,7 +100,7 @@ def test_dragging_across_a_chart_zooms_into_the_past_and_a_click_comes_back(visi
     visit.drag(0.9, 0.97)
     zoomed = visit.wait(lambda: (now := visit.chart())["to"] - now["from"] < 20_000 and now)
 
-    assert live["from"] < zoomed["from"] < zoomed["to"] < live["to"] + 5000
+    assert live["from"] < zoomed["from"] < zoomed["to"] < time.time_ns() * 1e-6
     time.sleep(0.5)
     assert visit.chart()["to"] == zoomed["to"], "what is zoomed into stands still"
     visit.click("live")
