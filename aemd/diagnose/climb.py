@@ -182,21 +182,15 @@ class Climb:
         """Worth that this start may come to, as far as its steps told so far."""
         return self.worth + _STILL_TO_COME * self.gained
 
-    def led(self, iterations: int) -> "Climb":
+    def over_blocks(self) -> "Climb":
+        """Return the same start over some blocks of the record."""
+        return Climb(self.terms, self.theta, self._data.sampled(_BLOCKS, _BLOCK), self.cost_nats)
+
+    def led_by(self, begun: "Climb") -> "Climb":
         """Return a climb that begins where one over some blocks of the record ended, if that is higher; else this one.
 
         An effect that none of the blocks holds leaves its numbers where they were.
-
-        Args:
-            iterations: steps over the blocks.
         """
-        if self.done:
-            return self
-        begun = Climb(self.terms, self.theta, self._data.sampled(_BLOCKS, _BLOCK), self.cost_nats)
-        for _ in range(iterations):
-            if begun.done:
-                break
-            begun.step()
         ahead = Climb(self.terms, begun.theta, self._data, self.cost_nats)
         if ahead.value <= self.value:
             return self
@@ -275,7 +269,7 @@ def race(starts: Sequence[Climb], iterations: int) -> list[Climb]:
         left = _best_of_each_kind(left)
     if left[0].readings > _LONG:
         first_steps = min(iterations, _FIRST_STEPS) if len(left) > _IN_HASTE else iterations
-        patience, left = _LED_PATIENCE, _hopeful(_best_of_each_kind([one.led(first_steps) for one in left]))
+        patience, left = _LED_PATIENCE, _hopeful(_best_of_each_kind(_led(left, first_steps)))
         iterations = min(iterations, _LAST_STEPS)
     elif left[0].costly:
         iterations = min(iterations, _COSTLY_STEPS)
@@ -289,6 +283,19 @@ def race(starts: Sequence[Climb], iterations: int) -> list[Climb]:
         if all(one.done for one in left):
             break
     return sorted(left, key=lambda one: -one.worth)
+
+
+def _led(starts: Sequence[Climb], steps: int) -> list[Climb]:
+    """Return starts moved by steps over some blocks, less those that fall hopelessly behind others of their kind."""
+    pairs = [(one, one.over_blocks()) for one in starts if not one.done]
+    for count in range(steps):
+        for _, begun in pairs:
+            if not begun.done:
+                begun.step()
+        if count:  # one step tells little
+            best = {one.terms[-1].cause: one.worth for one in _best_of_each_kind([begun for _, begun in pairs])}
+            pairs = [pair for pair in pairs if pair[1].hope >= best[pair[1].terms[-1].cause] - HOPELESS]
+    return [one for one in starts if one.done] + [one.led_by(begun) for one, begun in pairs]
 
 
 def _best_of_each_kind(starts: Sequence[Climb]) -> list[Climb]:
