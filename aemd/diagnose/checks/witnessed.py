@@ -12,7 +12,7 @@ from aemd.diagnose.climb import Climb, race
 from aemd.diagnose.evidence import Evidence, bonferroni, two_sided
 from aemd.diagnose.fit import Fit, residuals
 from aemd.diagnose.given import Given
-from aemd.diagnose.hypothesis import Base
+from aemd.diagnose.hypothesis import Base, Data
 from aemd.diagnose.terms.lines import amplitude_cost
 from aemd.diagnose.terms.witnessed import Latency, SupplyCoupling, ThermalDrift, lagged
 
@@ -121,13 +121,22 @@ def _best_delay(fit: Fit, witness: Floats) -> tuple[float, float, int]:
         trial = residuals(fit.terms, theta, data) if less else fit
         left = trial.whitened(witness)
         size = max(float(left @ left), 1e-300)
-        together = correlate(trial.z, left, mode="full", method="fft")[left.size - 1 - most : left.size + most]
+        # On the grid: a delay of so many intervals is one of fewer readings where some are lost.
+        z, shape = (_on_grid(data, values) for values in (trial.z, left))
+        together = correlate(z, shape, mode="full", method="fft")[shape.size - 1 - most : shape.size + most]
         together[most - 1 : most + 2] = 0.0  # that is no delay
         at = int(np.argmax(np.abs(together)))
         score = float(together[at])
         tries.append((trial.log_likelihood + 0.5 * score**2 / size, (at - most) * data.interval_s, score / size))
     _, delay, size = max(tries)
     return delay, size, 2 * most
+
+
+def _on_grid(data: Data, values: Floats) -> Floats:
+    """Return values at the places of their readings, 0 where one is missing, shape (places,)."""
+    even = np.zeros(int(data.slot[-1]) + 1)
+    even[data.slot] = values
+    return even
 
 
 def _gained(fit: Fit, term: ThermalDrift | Latency) -> float:
