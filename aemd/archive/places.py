@@ -10,14 +10,14 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from aemd.errors import RecordingError, UsageError
+from aemd.errors import AemdError, RecordingError, UsageError
 
 __all__ = ["Found", "Place", "find", "is_pattern"]
 
@@ -55,11 +55,12 @@ class Place:
             except OSError:
                 return ""
             return f"{state.st_size} {state.st_mtime_ns}"
-        system, path = self._system()
-        try:
-            told = system.info(path)
-        except FileNotFoundError:
-            return ""
+        with self._or_refuse("read"):
+            system, path = self._system()
+            try:
+                told = system.info(path)
+            except FileNotFoundError:
+                return ""
         tags = [str(told[key]) for key in ("ETag", "mtime", "LastModified", "last_modified", "created") if key in told]
         return " ".join([str(told["size"]), *tags[:1]])
 
@@ -168,12 +169,8 @@ class Place:
     def _system(self) -> tuple[Any, str]:
         return _system_of(self.url)
 
-    @contextmanager
-    def _or_refuse(self, done: str) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise RecordingError(f"{self.url}: cannot be {done}: {(error.strerror or str(error)).lower()}") from error
+    def _or_refuse(self, done: str) -> AbstractContextManager[None]:
+        return _or_refuse(self.url, done)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +197,8 @@ def find(pattern: str, *, besides: Place | None = None) -> list[Found]:
     if "://" in pattern:
         system, path = _system_of(pattern)
         root = _fixed_part(path)
-        names = [name for name in system.glob(path) if not system.isdir(name)]
+        with _or_refuse(pattern, "searched"):
+            names = [name for name in system.glob(path) if not system.isdir(name)]
         found = [Found(Place(system.unstrip_protocol(name)), _below(name, root)) for name in names]
     else:
         root = _fixed_part(pattern)
@@ -215,15 +213,31 @@ def find(pattern: str, *, besides: Place | None = None) -> list[Found]:
     return sorted(found, key=lambda item: item.name)
 
 
+@contextmanager
+def _or_refuse(url: str, done: str) -> Iterator[None]:
+    """Tell in one line what the disk refuses; of a scheme, whatever its package raises: a wrong key is no OSError."""
+    try:
+        yield
+    except OSError as error:
+        raise RecordingError(f"{url}: cannot be {done}: {(error.strerror or str(error)).lower()}") from error
+    except Exception as error:
+        if "://" not in url or isinstance(error, AemdError):
+            raise
+        raise RecordingError(f"{url}: cannot be {done}: {str(error).lower() or type(error).__name__}") from error
+
+
 def _system_of(url: str) -> tuple[Any, str]:
+    if "::" in url:
+        raise UsageError(f"{url}: is a chain of schemes, which is not supported; unpack it, or name the last one alone")
     try:
         core = import_module("fsspec.core")
     except ImportError as error:
         raise UsageError(f"{url}: needs the package fsspec; install aemd[remote]") from error
-    try:
-        system, path = core.url_to_fs(url)
-    except (ValueError, ImportError) as error:
-        raise UsageError(f"{url}: {str(error).splitlines()[0].lower()}") from error
+    with _or_refuse(url, "reached"):
+        try:
+            system, path = core.url_to_fs(url)
+        except (ValueError, ImportError) as error:
+            raise UsageError(f"{url}: {str(error).splitlines()[0].lower()}") from error
     return system, str(path)
 
 

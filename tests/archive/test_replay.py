@@ -3,6 +3,7 @@
 import json
 import os
 import pickle
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -221,11 +222,38 @@ def test_files_behind_a_scheme_replay_to_the_same_bytes(tmp_path: Path, scheme: 
         assert system.cat_file(f"{root}/out/day/{part.name}") == (tmp_path / "out" / part.name).read_bytes()
 
 
+@pytest.mark.parametrize("refused", ["glob", "info", "get_file"])
+def test_what_a_scheme_refuses_is_one_line_whatever_its_package_raises(tmp_path: Path, refused: str) -> None:
+    fsspec = pytest.importorskip("fsspec")
+    memory = fsspec.get_filesystem_class("memory")
+
+    class NoCredentialsError(Exception):  # as a package of a cloud raises it, which is no OSError
+        pass
+
+    def refuse(*_: object, **__: object) -> None:
+        raise NoCredentialsError("Unable to locate credentials")
+
+    own = {"protocol": "refusing", "_strip_protocol": vars(fsspec.AbstractFileSystem)["_strip_protocol"]}
+    kind = type("Refusing", (memory,), own | {"store": {}, "pseudo_dirs": [""], refused: refuse})
+    fsspec.register_implementation("refusing", kind, clobber=True)
+    local = write(tmp_path / "a.mcap", readings_of(200))
+    memory.put_file(kind(), str(local), "/in/a.mcap")
+
+    try:
+        done = replay_archive("refusing:///in/*.mcap", str(tmp_path / "out"), estimator="kalman").failed
+    except RecordingError as error:
+        done = (str(error),)
+
+    assert len(done) == 1
+    assert re.search(r"refusing:.*mcap: cannot be (read|searched): unable to locate credentials$", done[0])
+
+
 @pytest.mark.parametrize(
     ("pattern", "complaint"),
     [
         ("nothing-*.mcap", r"nothing-\*\.mcap: no such file; put the pattern in quotes"),
         ("nosuch://x/*.mcap", r"nosuch://x/\*\.mcap: protocol not known: nosuch"),
+        ("zip://*.mcap::/x.zip", r"zip://\*\.mcap::/x\.zip: is a chain of schemes, which is not supported; unpack it"),
     ],
 )
 def test_an_archive_that_is_not_there_is_one_line(tmp_path: Path, pattern: str, complaint: str) -> None:
