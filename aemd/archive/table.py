@@ -26,11 +26,13 @@ _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{title}</title>
 <style>
 body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem; color: #1f2933; }}
-table {{ border-collapse: collapse; width: 100%; }} pre {{ white-space: pre-wrap; background: #f5f7fa; padding: 1rem; }}
+h1 {{ font-size: 1.4rem; }} pre {{ white-space: pre-wrap; background: #f5f7fa; padding: 1rem; }}
+table {{ border-collapse: collapse; width: 100%; margin-bottom: 2rem; }}
 th, td {{ text-align: left; padding: .3rem .8rem .3rem 0; border-bottom: 1px solid #d9e2ec; vertical-align: top; }}
+.failed {{ color: #b91c1c; }} summary {{ cursor: pointer; padding: .2rem 0; }}
 </style></head><body>
 <h1>{title}</h1>
-<p>{count} files, {failed} of which could not be read.</p>
+<p>{count}{failed}</p>
 <table><thead><tr>{head}</tr></thead><tbody>
 {rows}
 </tbody></table>
@@ -60,9 +62,9 @@ class ArchiveTable:
         """Return it for a terminal."""
         table = Table(title=self.archive, title_justify="left", box=box.SIMPLE_HEAD)
         for column in self.columns:
-            table.add_column(column.replace("_", " "), overflow="fold")
+            table.add_column(_head(column), overflow="fold")
         for row in self.rows:
-            table.add_row(*(_say(row[column]) for column in self.columns))
+            table.add_row(*(_cell(row, column) for column in self.columns))
         return table
 
 
@@ -130,20 +132,24 @@ def write_page(table: ArchiveTable, title: str, path: Path) -> None:
     Raises:
         RecordingError: the page cannot be written.
     """
-    rows = [
-        "<tr>" + "".join(f"<td>{escape(_say(row[column]))}</td>" for column in table.columns) + "</tr>"
-        for row in table.rows
-    ]
-    rows += [f'<tr><td colspan="{len(table.columns)}">{escape(line)}</td></tr>' for line in table.failed]
+    places = {name: f"report-{number}" for number, name in enumerate(table.texts, start=1)}
+    rows = []
+    for row in table.rows:
+        cells = {column: escape(_cell(row, column)) for column in table.columns}
+        if row["file"] in places:
+            cells["file"] = f'<a href="#{places[row["file"]]}">{cells["file"]}</a>'
+        rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells.values()) + "</tr>")
+    rows += [f'<tr><td class="failed" colspan="{len(table.columns)}">{escape(line)}</td></tr>' for line in table.failed]
     details = [
-        f"<details><summary>{escape(name)}</summary><pre>{escape(text)}</pre></details>"
+        f'<details id="{places[name]}"><summary>{escape(name)}</summary><pre>{escape(text)}</pre></details>'
         for name, text in table.texts.items()
     ]
+    count, failed = len(table.rows) + len(table.failed), len(table.failed)
     page = _PAGE.format(
         title=escape(f"{title}: {table.archive}"),
-        count=len(table.rows) + len(table.failed),
-        failed=len(table.failed),
-        head="".join(f"<th>{escape(column.replace('_', ' '))}</th>" for column in table.columns),
+        count=f"{count:,} file{'' if count == 1 else 's'}",
+        failed=f", {failed:,} of which could not be read." if failed else ".",
+        head="".join(f"<th>{escape(_head(column))}</th>" for column in table.columns),
         rows="\n".join(rows),
         details="\n".join(details),
     )
@@ -217,7 +223,19 @@ def _diagnose(
         result = diagnose(source, model=model, line_frequency_hz=line_frequency_hz)
     causes = [finding.cause for finding in result.findings]
     row = {"file": found.name, "verdict": result.verdict, "readings": result.n, "rate_hz": result.rate_hz}
-    return {**row, "findings": causes}, format_diagnosis(result)
+    return {**row, "left_out": result.left_out, "findings": causes}, format_diagnosis(result)
+
+
+def _head(column: str) -> str:
+    """Return a column's name for a person; a unit stands in brackets."""
+    return "rate (Hz)" if column == "rate_hz" else column.replace("_", " ")
+
+
+def _cell(row: dict[str, Any], column: str) -> str:
+    text = _say(row[column])
+    if column == "readings" and row.get("left_out"):
+        return f"first {text} of {row['readings'] + row['left_out']:,}"
+    return text.replace("_", " ") if column == "verdict" else text
 
 
 def _say(value: Any) -> str:

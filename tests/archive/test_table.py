@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from aemd.archive import diagnose_archive, tune_archive, write_page
+from aemd.archive import ArchiveTable, diagnose_archive, tune_archive, write_page
 from aemd.record.source import Selection
 from tests.archive.made import readings_of, write, write_json
 
@@ -23,7 +23,20 @@ def test_each_file_is_a_row_and_one_that_cannot_be_judged_a_line(tmp_path: Path)
     assert len(table.failed) == 1
     assert "short.mcap: holds 23 readings; at least 100 are needed" in table.failed[0]
     assert page.count("<tr>") == 4  # head, two rows, and the one that failed
-    assert page.count("<details>") == 2
+    for number, name in enumerate("ab", start=1):  # a row leads to its report
+        assert f'<a href="#report-{number}">{name}.mcap</a>' in page
+        assert f'<details id="report-{number}"><summary>{name}.mcap</summary>' in page
+    assert "<p>3 files, 1 of which could not be read.</p>" in page
+
+
+def test_of_a_record_that_was_not_judged_whole_the_table_says_so(tmp_path: Path) -> None:
+    row = {"file": "a.mcap", "verdict": "nothing_found", "readings": 1_400_000, "left_out": 600_000}
+
+    write_page(ArchiveTable("in", ("file", "verdict", "readings"), (row,), (), {}), "aemd diagnose", tmp_path / "p")
+
+    page = (tmp_path / "p").read_text()
+    assert "<td>nothing found</td><td>first 1,400,000 of 2,000,000</td>" in page
+    assert "<p>1 file.</p>" in page
 
 
 @pytest.mark.slow
