@@ -159,25 +159,26 @@ def test_a_dead_link_ends_the_stream_with_its_error_after_all_that_was_acquired(
 
 
 def test_readings_lost_in_the_meter_are_a_gap_in_the_stream() -> None:
-    with opened() as (instrument, meter), Acquisition(instrument, ring_readings=1024, poll_s=0.05) as acquisition:
-        batches = acquisition.batches()
-        readings = [next(batches) for _ in range(20)]  # until the clock is known
-        time.sleep(5.5)  # longer than the ring and the meter's memory hold
-        readings += [next(batches) for _ in range(20)]
-        acquisition.stop()
-        readings += list(batches)
-        block = joined(readings)
-        gaps = [event for batch in readings for event in batch.events if event.kind == "gap"]
+    with opened() as (instrument, meter):
+        timed = Timed(instrument)
+        with Acquisition(timed, ring_readings=1024, poll_s=0.05) as acquisition:
+            batches = acquisition.batches()
+            readings = [next(batches) for _ in range(20)]  # until the clock is known
+            time.sleep(5.5)  # longer than the ring and the meter's memory hold
+            readings += [next(batches) for _ in range(20)]
+            acquisition.stop()
+            readings += list(batches)
+        made = meter.truth.size
+    block, counts = joined(readings), acquisition.counts
+    gaps = [event for batch in readings for event in batch.events if event.kind == "gap"]
+    within = [int(re.findall(r"give or take (\d+)", gap.message)[0]) for gap in gaps]
 
-        assert len(gaps) == 1
-        assert acquisition.counts.lost == gaps[0].last_index - gaps[0].first_index + 1 > 0
-        assert block["index"][-1] + 1 == acquisition.counts.acquired + acquisition.counts.lost
-        assert np.count_nonzero(block["status"] & Status.GAP) == 1
-        claimed = re.search(r"give or take (\d+)", gaps[0].message)
-        assert claimed is not None
-        within = int(claimed[1])
-        assert within < 100
-        assert acquisition.counts.acquired + acquisition.counts.lost == pytest.approx(meter.truth.size, abs=within)
+    assert len(gaps) >= 1  # one, where we are not too slow for such a ring afterwards, too
+    assert counts.lost == sum(gap.last_index - gap.first_index + 1 for gap in gaps) > 0
+    assert block["index"][-1] + 1 == counts.acquired + counts.lost
+    assert np.count_nonzero(block["status"] & Status.GAP) == len(gaps)
+    assert max(within) < 100 + timed.slowest_ns / (FAST.interval_s * 1e9)
+    assert counts.acquired + counts.lost == pytest.approx(made, abs=sum(within))
 
 
 def test_the_thread_and_the_link_leave_nothing_open(recwarn: pytest.WarningsRecorder) -> None:
