@@ -56,6 +56,27 @@ def test_no_question_stays_without_an_answer(by_socket: dict[str, str]) -> None:
     assert after >= before > 0
 
 
+class Breaking(SimulatedLink):
+    """A line that breaks at the first question after the largest SAMP:COUN."""
+
+    broken = False
+
+    def query(self, command: str) -> str:
+        if "SAMP:COUN? MAX" in command and not Breaking.broken:
+            Breaking.broken = True
+            self.close()
+        return super().query(command)
+
+
+def test_a_line_that_breaks_at_one_question_is_opened_again_for_the_others() -> None:
+    clock = SteppedClock()
+    bench = Bench(Meter(Slope(), clock, MeterProperties(noise=False)), clock)
+    found = characterise("SIM", Options(), clock, clock.sleep, lambda: Breaking(bench, clock))
+    lacking = [one.question for one in found if one.answer.startswith("no answer")]
+
+    assert lacking == ["largest SAMP:COUN"]
+
+
 def test_a_meter_that_another_program_reads_is_not_asked() -> None:
     clock = SteppedClock()
     bench = Bench(Meter(Slope(), clock, MeterProperties(noise=False)), clock)

@@ -13,6 +13,7 @@ import pytest
 
 from aemd.errors import InstrumentError
 from agilent34410 import Options
+from agilent34410.knock import knock
 from agilent34410.link import Link, open_link
 from tests.drivers.agilent34410.bench import served, stranger, unused_resource
 
@@ -205,6 +206,14 @@ def test_a_malformed_address_is_refused_with_an_example_of_a_right_one_and_no_ot
 ) -> None:
     with pytest.raises(InstrumentError, match=rf"cannot open: .*{way_out}$"):
         opened(resource).query("*IDN?")
+
+
+def test_whoever_keeps_a_connection_open_is_not_waited_for() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        begun_s = time.monotonic()
+        knock(f"TCPIP0::127.0.0.1,{listener.getsockname()[1]}::inst0::INSTR", 60.0)
+
+        assert time.monotonic() - begun_s < 4.0
 
 
 @pytest.mark.parametrize(
