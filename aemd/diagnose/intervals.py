@@ -6,15 +6,15 @@ at low frequencies, and intervals that take it as given are too short. So the dr
 term stands beside a fitted base.
 """
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import exp, inf, log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aemd.diagnose.fit import Fit, climb, densities, readings_scores, residuals
-from aemd.diagnose.hypothesis import Base, Parameter
+from aemd.diagnose.hypothesis import Base, Bounds, Data, Parameter, Parts, Term
 from aemd.diagnose.result import Value
 
 __all__ = ["covariance", "describe"]
@@ -42,12 +42,16 @@ _FARTHEST = 50.0
 """Natural logarithms, up to which an interval reaches that is not open."""
 _MOST_STEPS = 4
 _CLIMB = 3
+_FALLEN = 1.96**2 / 2
+"""Nats that a profile has fallen at the ends of a 95 % interval."""
+_FARTHER = 2.5
+"""Times its parabola's reach that an end is sought, at most. Nor is it nearer than the parabola's: what a few steps of
+a climb have not yet regained makes a profile look steeper than it is."""
 
 
 def covariance(fit: Fit) -> Floats:
     """Return the covariance of the free numbers about their most likely values, shape (k, k)."""
-    slow = any(term.cause in _SLOW for term in fit.terms[1:])
-    if not slow or fit.data.n > _LONG or not isinstance(fit.terms[0], Base):
+    if not any(_is_slow(fit, number) for number in range(1, len(fit.terms))):
         return _given_the_drift(fit)
     tries = _drifts(fit)
     highest = max(log_weight for log_weight, _, _ in tries)
@@ -61,13 +65,101 @@ def covariance(fit: Fit) -> Floats:
 
 
 def describe(fit: Fit, number: int, spread: Floats) -> Mapping[str, Value]:
-    """Return the reported parameters of one term with 95 % intervals, by the delta method."""
+    """Return the reported parameters of one term with 95 % intervals, by the delta method or the profile."""
     begin = sum(term.start.size for term in fit.terms[:number])
     term, theta = fit.terms[number], fit.parts_of(number)
     own = spread[begin : begin + theta.size, begin : begin + theta.size]
     low, high = np.array(term.bounds, np.float64).reshape(-1, 2).T
     ends = np.where(theta >= high, 1.0, np.where(theta <= low, -1.0, 0.0))
-    return {parameter.name: _opened(parameter, theta, own, ends) for parameter in term.parameters(fit.data)}
+    told = {parameter.name: _opened(parameter, theta, own, ends) for parameter in term.parameters(fit.data)}
+    if not _is_slow(fit, number):
+        return told
+    given = np.diag(_given_the_drift(fit))[begin : begin + theta.size]
+    reaches = [
+        _reach(fit, number, at, spread, max(float(own[at, at]) / known, 1.0)) if known > 0 and not ends[at] else None
+        for at, known in enumerate(given)
+    ]
+    for parameter in term.parameters(fit.data):
+        alone = np.flatnonzero(_slopes(parameter, theta))
+        reach = reaches[int(alone[0])] if alone.size == 1 else None
+        if reach is not None:
+            pair = sorted(parameter.value(_moved(theta, int(alone[0]), by)) for by in reach)
+            told[parameter.name] = replace(told[parameter.name], low=pair[0], high=pair[1])
+    return told
+
+
+def _is_slow(fit: Fit, number: int) -> bool:
+    """Return whether a term is one that the drift can pass for, where the drift is not known well enough."""
+    slow = number > 0 and fit.terms[number].cause in _SLOW
+    return slow and fit.data.n <= _LONG and isinstance(fit.terms[0], Base)
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    """A term one of whose free numbers is held where it is."""
+
+    term: Term
+    at: int
+    value: float
+
+    @property
+    def cause(self) -> str:
+        return self.term.cause
+
+    @property
+    def cost_nats(self) -> float:
+        return self.term.cost_nats
+
+    @property
+    def start(self) -> Floats:
+        return self.term.start
+
+    @property
+    def bounds(self) -> Sequence[Bounds]:
+        held = (self.value, self.value)
+        return [held if at == self.at else bound for at, bound in enumerate(self.term.bounds)]
+
+    def add(self, theta: Floats, data: Data, parts: Parts) -> None:
+        self.term.add(theta, data, parts)
+
+    def parameters(self, data: Data) -> Sequence[Parameter]:
+        return self.term.parameters(data)
+
+
+def _reach(fit: Fit, number: int, at: int, spread: Floats, wider: float) -> tuple[float, float]:
+    """Return how far down and up a term's number may be: where the profile of the likelihood has fallen far enough.
+
+    Args:
+        fit: at its top.
+        number: of the term.
+        at: of the number within the term.
+        spread: covariance of all free numbers.
+        wider: variance of the number over that which the most likely drift leaves it.
+    """
+    index = sum(term.start.size for term in fit.terms[:number]) + at
+    low, high = fit.terms[number].bounds[at]
+    sd = sqrt(float(spread[index, index]))
+    along = spread[:, index] / spread[index, index]
+    found = []
+    for side in (-1.0, 1.0):
+        parabola = reach = 1.96 * sd
+        for _ in range(2):
+            value = float(np.clip(fit.theta[index] + side * reach, low, high))
+            moved = value - float(fit.theta[index])
+            terms = [*fit.terms]
+            terms[number] = _Held(fit.terms[number], at, value)
+            fallen = fit.log_likelihood - climb(terms, fit.theta + along * moved, fit.data, _CLIMB)[1]
+            further = abs(moved) * sqrt(_FALLEN * wider / max(fallen, 1e-3))
+            reach = float(np.clip(further, parabola, parabola * _FARTHER))
+        found.append(side * reach)
+    return found[0], found[1]
+
+
+def _moved(theta: Floats, at: int, by: float) -> Floats:
+    """Return free numbers, one of them moved."""
+    aside = theta.copy()
+    aside[at] += by
+    return aside
 
 
 def _drifts(fit: Fit) -> list[tuple[float, Floats, Floats]]:
@@ -154,14 +246,18 @@ def _opened(parameter: Parameter, theta: Floats, spread: Floats, ends: Floats) -
     return value
 
 
+def _slopes(parameter: Parameter, theta: Floats) -> Floats:
+    """Return how a parameter changes with each free number."""
+    here, slopes = parameter.value(theta), np.empty(theta.size)
+    for number in range(theta.size):
+        width = 1e-4 * max(abs(theta[number]), 1.0)
+        slopes[number] = (parameter.value(_moved(theta, number, width)) - here) / width
+    return slopes
+
+
 def _value(parameter: Parameter, theta: Floats, spread: Floats) -> Value:
     here = parameter.value(theta)
-    slopes = np.empty(theta.size)
-    for number in range(theta.size):
-        aside = theta.copy()
-        width = 1e-4 * max(abs(theta[number]), 1.0)
-        aside[number] += width
-        slopes[number] = (parameter.value(aside) - here) / width
+    slopes = _slopes(parameter, theta)
     sd = sqrt(max(float(slopes @ spread @ slopes), 0.0))
     alone = np.flatnonzero(slopes)
     if alone.size == 1:  # the number's own ends, so that a share stays below 1
