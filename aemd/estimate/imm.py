@@ -45,7 +45,10 @@ class ImmOptions:
     slow: Literal["disturbance", "input"] = "disturbance"
     """What the slow part is: the sensor's own drift, u_in, or part of the input, as where a reference is watched."""
     origin_V: float | None = None
-    """What the input and the slow part vary about, V. Without one: the first reading, which may itself be disturbed."""
+    """What the input and the slow part vary about, V. Without one: the first reading, which may itself be disturbed.
+
+    It is taken as known: sigma_V counts no error of it. One that was tuned beside a slow disturbance may be far off,
+    since a constant of the input and one of the disturbance look the same."""
     noise_V: Positive = 0.0167e-3
     """Standard deviation of the reading's white noise, V: sigma_R."""
     disturbed_V: Positive = 30e-3
