@@ -138,9 +138,12 @@ def fit_base(data: Data) -> Fit:
     """Fit the base model: without shocks from the spectrum's best starts, then with shocks if they earn their keep."""
     box = base_box(data)
     starts = spectral_starts(data)[: 3 if data.n < _SHORT else 2]
-    best = race([Climb([Base(start, shocks=False, box=box)], start, data) for start in starts], steps_for(data))[
-        0
-    ].theta
+
+    def from_these(thetas: Sequence[Floats]) -> Climb:
+        return race([Climb([Base(start, shocks=False, box=box)], start, data) for start in thetas], steps_for(data))[0]
+
+    first = from_these(starts)
+    best = max(first, from_these([_with_drift(first.theta, data)]), key=lambda one: one.value).theta
     fit = residuals([Base(best, shocks=False, box=box)], best, data)
     shocked = _with_shocks(fit)
     if shocked is None or shocked.log_likelihood < fit.log_likelihood + _SHOCK_GAIN:
@@ -200,13 +203,19 @@ def _begun_anew(theta: Floats, data: Data) -> list[Floats]:
     What few readings do not show, a slow drift above all, has been left out by their fit, and is not found again by
     climbing: the likelihood is flat where a process is not there.
     """
-    calm, with_drift = theta.copy(), theta.copy()
+    calm = theta.copy()
     calm[:5] = _fit_calm(without_jumps(data)[0])[:5]
-    if theta[3] + theta[2] / 2 > theta[1] + theta[0] / 2:  # the drift's place holds the larger process
-        with_drift[:2] = theta[2:4]
-    with_drift[2] = log(data.span_s / 5)
-    with_drift[3] = with_drift[1] + log(0.1)
-    return [calm, with_drift]
+    return [calm, _with_drift(theta, data)]
+
+
+def _with_drift(theta: Floats, data: Data) -> Floats:
+    """Return a start with a slow drift beside the signal: the larger of the two processes becomes the signal."""
+    start = theta.copy()
+    if theta[3] + theta[2] / 2 > theta[1] + theta[0] / 2:
+        start[:2] = theta[2:4]
+    start[2] = log(data.span_s / 5)
+    start[3] = start[1] + log(0.1)
+    return start
 
 
 def _best_decay(data: Data, few: Data, start: Floats, per_s: float, size: float) -> Climb:

@@ -81,6 +81,21 @@ def test_a_record_whose_first_readings_hide_its_drift_is_fitted_to_the_top_all_t
         assert_at_the_top(seed, 20_000)
 
 
+def test_a_weak_drift_beside_a_strong_signal_is_not_left_out():
+    """The signal alone explains such a record nearly as well, and a climb that has lost the drift finds it no more."""
+    n, white = 6_000, 0.4
+    for seed in (33, 86):
+        rng = np.random.default_rng(seed)
+        y = markov(rng, n, 0.5, 1.0) + markov(rng, n, 400.0, 0.3) + white * rng.standard_normal(n)
+        data = make_data(series(1e-3 * y))
+        unit = data.unit_V * 1e3
+        true = np.array([log(0.5), log(2 / unit), log(400), log(0.3 * sqrt(2 / 400) / unit), log(white / unit), 0.0])
+        true[5] = -data.origin_V / data.unit_V
+        at_truth = score_log_likelihood([Base(true, shocks=False, box=base_box(data))], true, data)
+
+        assert fit_base(data).log_likelihood > at_truth
+
+
 def test_climbs_that_meet_go_on_as_one_and_the_best_comes_first():
     data, true = drawn(1, 1_000)
     term = Base(true, shocks=True, box=(*fit_base(data).base.box[:6], (-9.0, 2.0), (-1.0, 9.0), (-5.0, 2.0)))
