@@ -104,7 +104,7 @@ def _finding(finding: Finding) -> tuple[str, str]:
             f"; {_worth(finding.gain)}, "
             f"prediction error {_engineer(finding.rms_before, 'V')} -> {_engineer(finding.rms_after, 'V')} rms"
         )
-    mark = ";" if ":" in what or finding.remark else ":"
+    mark = ";" if ":" in what or (finding.remark and finding.cause != "unexplained") else ":"
     return f"{what}{mark} {sizes + '; ' if sizes else ''}{evidence}{worth}.", f"  Next: {then}."
 
 
