@@ -32,8 +32,8 @@ MOST_READINGS = 1_400_000
 all readings some hundred times and holds several arrays of them, so time and memory would grow with the record."""
 _ON_GRID = 0.2
 """Intervals from a whole multiple that a step may be stamped off, and still be that multiple."""
-
-
+_NEIGHBOURS = 9
+"""Stamps on each side of a gap whose median says where they are: jitter of a quarter interval moves that by a tenth."""
 _ABOUT = 3
 """Steps about a late stamp that tell whether it was only late."""
 
@@ -84,7 +84,7 @@ class Series:
         """
         steps = np.diff(self.time_s) / self.interval_s
         if not self.numbered:
-            return np.concatenate(([1], np.maximum(np.rint(steps), 1))).astype(np.int64)
+            return np.concatenate(([1], self._steps_for_good(steps)))
         counted = np.maximum(np.diff(self.index), 1)
         whole = counted.copy()
         for at in np.flatnonzero(steps > counted + 1 - _ON_GRID):
@@ -98,6 +98,21 @@ class Series:
             ):
                 whole[at] = int(np.rint(steps[at]))
         return np.concatenate(([1], whole)).astype(np.int64)
+
+    def _steps_for_good(self, steps: Floats) -> NDArray[np.int64]:
+        """Return the whole steps of readings without numbers; a stamp that came late is none that lacks its neighbour.
+
+        The readings after a gap stay behind the grid of those before it, by their median; those after a late stamp are
+        on it again.
+        """
+        behind = np.concatenate(([0.0], np.cumsum(steps - 1)))
+        at = np.flatnonzero(np.rint(steps) > 1)[:, None]
+        before = behind[np.maximum(at - np.arange(_NEIGHBOURS), 0)]
+        after = behind[np.minimum(at + 1 + np.arange(_NEIGHBOURS), steps.size)]
+        for_good = at[np.median(after, axis=1) - np.median(before, axis=1) > 0.5]
+        whole = np.ones(steps.size, dtype=np.int64)
+        whole[for_good] = np.rint(steps[for_good])
+        return whole
 
     @property
     def slot(self) -> NDArray[np.int64]:

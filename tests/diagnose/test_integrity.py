@@ -42,6 +42,21 @@ def test_without_numbers_the_stamps_tell_what_is_missing():
     assert defects[0].parameters["lost"].value == 3
 
 
+@pytest.mark.parametrize("gone", [[], [500, 900, 901, 3000]])
+def test_without_numbers_late_stamps_are_not_missing_readings(gone):
+    """One step in some forty is longer than one and a half intervals, and the next ones make up for it."""
+    rng = np.random.default_rng(11)
+    late = np.abs(rng.standard_normal(N)) * 0.3 * INTERVAL_S
+    stamps = np.delete(np.sort(times() + late), gone)
+    assert np.mean(np.diff(stamps) > 1.5 * INTERVAL_S) > 0.02
+
+    defects = check_raw(series(np.delete(clean(1), gone), time_s=stamps, numbered=False, nominal_interval_s=0.0), SD_V)
+
+    lost = {defect.cause: defect.parameters.get("lost") for defect in defects}
+    assert "timestamp_jitter" in lost
+    assert (lost["missing_samples"].value if gone else lost.get("missing_samples")) == (len(gone) or None)
+
+
 @pytest.mark.parametrize("digits", [None, 4])
 def test_a_block_that_comes_twice_is_dropped_the_second_time(digits):
     y = clean(2) if digits is None else np.round(clean(2), digits)
