@@ -127,6 +127,9 @@ def _ask_host(host: str, timeout_s: float, named: list[Device]) -> None:
                 if not piece:
                     break
                 answer += piece
+    except UnicodeError:
+        named.append(Device("", "LAN", host, f"no computer can be called {name!r}; check the spelling"))
+        return
     except ValueError as error:
         named.append(Device("", "LAN", host, str(error)))
         return

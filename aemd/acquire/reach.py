@@ -111,7 +111,7 @@ def _way_to_host(resource: str, timeout_s: float) -> str:
     port = int(number) if number else PORT_MAPPER
     try:
         socket.create_connection((host, port), timeout=timeout_s).close()
-    except socket.gaierror:
+    except (socket.gaierror, UnicodeError):  # the second, where it cannot even be a name: 192.168..5
         return f"no computer is called {host!r}: check the spelling, or use the address that the meter's menu shows"
     except ConnectionRefusedError:
         other = f"TCPIP0::{host}::{SCPI_PORT}::SOCKET" if port != SCPI_PORT else f"TCPIP0::{host}::inst0::INSTR"

@@ -24,11 +24,17 @@ def knock(resource: str, timeout_s: float) -> None:
         timeout_s: longest wait for the connection, s.
 
     Raises:
-        InvalidResourceName: it is none, or its port is not a number that a port can have.
+        InvalidResourceName: it is none, or its host or its port is nothing that a host or a port can be.
         OSError: there is no such host, or nobody listens there.
         EOFError: whoever listens hangs up.
     """
-    name = ResourceName.from_string(resource)
+    try:
+        _knock(ResourceName.from_string(resource), timeout_s)
+    except UnicodeError as error:  # the codec's: an empty or too long part of a name
+        raise InvalidResourceName("no computer can be called so") from error
+
+
+def _knock(name: ResourceName, timeout_s: float) -> None:
     host, _, port = getattr(name, "host_address", "").partition(",")
     if not host:
         return

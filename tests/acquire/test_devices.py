@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from aemd.acquire.devices import list_devices
+from aemd.acquire.devices import Device, list_devices
 
 
 @pytest.fixture
@@ -57,6 +57,13 @@ def test_a_named_host_is_asked_who_it_is_and_a_silent_or_absent_one_is_told_of(t
     assert said[f"TCPIP0::127.0.0.1::{ports[0]}::SOCKET"].found == "Agilent Technologies,34410A,MY1,2.35"
     assert "refused" in said["127.0.0.1:1"].hint
     assert said[f"127.0.0.1:{ports[1]}"].hint.startswith("timed out")
+
+
+@pytest.mark.parametrize("host", ["192.168..5", "m" * 64])
+def test_what_is_no_name_of_a_host_is_said_to_be_none(host: str, tmp_path: Path) -> None:
+    (found,) = list_devices(30.0, (host,), usb_tree=tmp_path, search=False)
+
+    assert found == Device("", "LAN", host, f"no computer can be called {host!r}; check the spelling")
 
 
 @pytest.mark.parametrize("port", ["abc", "0", "65536", "-1", "\uff15"])

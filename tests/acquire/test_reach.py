@@ -78,6 +78,7 @@ def test_a_host_is_unknown_or_without_the_port_or_does_not_answer() -> None:
         silent = way_to(f"TCPIP0::127.0.0.1::{silent_port}::SOCKET", 0.5)
         silent_vxi = way_to(f"TCPIP0::127.0.0.1,{silent_port}::inst0::INSTR", 0.5)
 
+    assert "no computer is called '192.168..5'" in way_to("TCPIP0::192.168..5::5025::SOCKET", 0.5)
     assert "no computer is called 'no.such.host.invalid'" in way_to("TCPIP0::no.such.host.invalid::5025::SOCKET", 0.5)
     assert f"127.0.0.1 is there and has nothing at port {port}" in refused
     assert "TCPIP0::127.0.0.1::5025::SOCKET" in refused

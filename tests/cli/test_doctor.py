@@ -36,6 +36,17 @@ def test_a_meter_that_is_not_there_fails_with_what_to_do(aemd: Run) -> None:
     assert "has nothing at port 1:" in check["advice"]
 
 
+def test_an_address_that_is_none_is_told_of_in_a_sentence(aemd: Run, tmp_path: Path) -> None:
+    resource = "TCPIP0::192.168..5::5025::SOCKET"
+    code, out, err = aemd("doctor", "--resource", resource, "--json")
+    (check,) = json.loads(out)["checks"]
+    assert (code, check["name"], check["ok"]) == (1, "link", False), err
+    assert "no computer is called '192.168..5'" in check["advice"]
+
+    code, out, err = aemd("doctor", "--resource", resource, "--characterise", "--out", tmp_path / "r.md")
+    assert "no computer can be called so" in refused(code, err, out, 1)
+
+
 STRANGERS = {
     "another meter": (b"KEITHLEY INSTRUMENTS INC.,MODEL 2000,1234,A20\n", "another instrument is there"),
     "a web server": (b"HTTP/1.1 400 Bad Request\r\n\r\n", "what answers there is no instrument"),

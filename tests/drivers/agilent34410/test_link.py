@@ -195,6 +195,8 @@ def test_a_line_that_is_not_quiet_is_not_drained_for_ever(monkeypatch: pytest.Mo
         ("nonsense", "TCPIP0::192.168.1.5::5025::SOCKET"),
         ("TCPIP0::127.0.0.1::SOCKET", "TCPIP0::192.168.1.5::5025::SOCKET"),
         ("TCPIP0::no.such.host.invalid::1::SOCKET", "the address"),
+        ("TCPIP0::192.168..5::5025::SOCKET", "no computer can be called so; .*"),
+        ("TCPIP0::192.168..5::inst0::INSTR", "no computer can be called so; .*"),
         ("TCPIP0::127.0.0.1,1::inst0::INSTR", "the address"),
         ("TCPIP0::127.0.0.1,x::inst0::INSTR", "TCPIP0::192.168.1.5::5025::SOCKET"),
         ("TCPIP0::127.0.0.1,0::inst0::INSTR", "TCPIP0::192.168.1.5::5025::SOCKET"),
