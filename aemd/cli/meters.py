@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from aemd.cli.common import Json, app, stderr
 from aemd.errors import UsageError
@@ -30,7 +31,7 @@ def devices(
         # A resource is there to be copied: on one line, whatever becomes of the others, and never cut short.
         table.add_column(heading, overflow="fold", no_wrap=heading == "resource")
     for device in found:
-        table.add_row(device.resource, device.link, device.found, device.hint)
+        _add(table, device.resource, device.link, device.found, device.hint)
     Console().print(table)
 
 
@@ -67,11 +68,16 @@ def doctor(
     if json:
         print(as_json(found))
     else:
-        table = Table(title=found.resource)
+        table = Table(title=Text(found.resource, style="table.title"))
         for heading in ("", "check", "found", "what to do"):
             table.add_column(heading, overflow="fold")
         for check in found.checks:
-            table.add_row("ok" if check.ok else "NO", check.name, check.found, check.advice)
+            _add(table, "ok" if check.ok else "NO", check.name, check.found, check.advice)
         Console().print(table)
     if not found.ok:
         raise typer.Exit(1)
+
+
+def _add(table: Table, *cells: str) -> None:
+    """Add a row as it is: an instrument's answer and a user's word may look like rich's marks, `[/red]` or `:on:`."""
+    table.add_row(*map(Text, cells))

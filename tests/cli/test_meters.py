@@ -137,6 +137,32 @@ def test_a_peer_that_never_ends_its_line_is_refused(aemd: Run, tmp_path: Path) -
     assert "no end of line" in refused(code, err, out, 1)
 
 
+def test_what_looks_like_marks_of_the_table_is_shown_as_it_is(
+    aemd: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
+    with talking(b"Agilent Technologies,[/red]34410A,:dog:,[bold]2.35\n") as resource:
+        _, host, port, _ = resource.split("::")
+        code, out, err = aemd("devices", "--timeout", 10, "--host", f"{host}:{port}", "--host", "[/x]")
+        assert code == 0, err
+        assert "Agilent Technologies,[/red]34410A,:dog:,[bold]2.35" in out
+        assert "[/x]" in out
+
+        code, out, err = aemd("doctor", "--resource", resource)
+        assert code == 1, err
+        assert "[/red]34410A,:dog:,[bold]2.35" in out
+
+    config = tmp_path / "c.toml"
+    config.write_text('[instrument]\nresource = "sim"\nnplc = 10\ninterval_s = 0.06712\n')
+    code, out, err = aemd("doctor", config)
+    assert code == 1, err
+    assert "the config's [instrument] asks for" in out
+
+    code, out, err = aemd("doctor", "--resource", "USB0::[/x]::1::2::INSTR")
+    assert code == 1, err
+    assert "USB0::[/x]::1::2::INSTR" in out.splitlines()[0]
+
+
 def test_the_resource_of_a_device_is_whole_on_one_line_of_a_narrow_terminal(
     aemd: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
