@@ -14,6 +14,7 @@ __all__ = ["BadChunkError", "Head", "unpack"]
 
 _TIMES_SIZE_CRC = struct.Struct("<QQQI")
 _MOST_BYTES = 1 << 30  # a chunk that says it is longer is damaged, or nothing that this machine should unpack
+_ZSTD_UNTOLD = -1  # of zstandard.frame_content_size: the frame does not tell it
 
 
 class BadChunkError(Exception):
@@ -59,18 +60,30 @@ def unpack(octets: mmap, record: Record) -> tuple[Head, bytes]:
 
 
 def _unpack(packed: memoryview, head: Head) -> bytes:
+    """Return what is packed, without ever taking more memory than the chunk states.
+
+    Raises:
+        BadChunkError: it cannot be unpacked, or is longer.
+    """
     try:
         match head.compression:
             case "":
                 return bytes(packed)
             case "zstd":
-                return zstandard.ZstdDecompressor().decompress(packed, max_output_size=head.uncompressed_size)
+                # A frame that tells its size is given a buffer of that size, whatever the most is: one bit may make it
+                # exabytes.
+                if zstandard.frame_content_size(packed) in {_ZSTD_UNTOLD, head.uncompressed_size}:
+                    return zstandard.ZstdDecompressor().decompress(packed, max_output_size=head.uncompressed_size)
             case "lz4":
-                contents: bytes = lz4.frame.decompress(packed)
-                return contents
+                frame = lz4.frame.LZ4FrameDecompressor()
+                contents: bytes = frame.decompress(packed, max_length=head.uncompressed_size + 1)
+                if frame.eof:
+                    return contents
+            case _:
+                raise BadChunkError(f"is compressed with {head.compression!r}, of which we read zstd and lz4 only")
     except (zstandard.ZstdError, RuntimeError) as error:  # the second is lz4's
         raise BadChunkError("cannot be unpacked") from error
-    raise BadChunkError(f"is compressed with {head.compression!r}, of which we read zstd and lz4 only")
+    raise BadChunkError(f"does not unpack to the {head.uncompressed_size} bytes that it states")
 
 
 def _parse(body: memoryview) -> tuple[Head, int]:
