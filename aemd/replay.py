@@ -86,7 +86,7 @@ def replay(
         made = make_estimator(choice.name, choice.options, description.interval_s)
         made.push(np.empty(0, READING))  # compiles the kernel, which is no part of the speed
         if description.state and choice == recorded:
-            begin_with(made, description, path)
+            begin_with(made, description, str(path))
         else:
             description = replace(description, state={})  # what is estimated anew begins at its first reading
         start_ns = time.monotonic_ns()
@@ -120,8 +120,13 @@ def choose(known: EstimatorChoice | None, named: str | None) -> EstimatorChoice:
     return known if known and named is None else name_estimator(named or "aem", known)
 
 
-def begin_with(estimator: Estimator, description: Description, path: Path) -> None:
+def begin_with(estimator: Estimator, description: Description, place: str) -> None:
     """Put an estimator into the state that it had where this file begins, in the middle of an acquisition.
+
+    Args:
+        estimator: just made, with the recorded options.
+        description: of the file.
+        place: where the file is; it begins the message.
 
     Raises:
         RecordingError: the state is damaged, or of another version of the estimator.
@@ -130,13 +135,15 @@ def begin_with(estimator: Estimator, description: Description, path: Path) -> No
         load_state(estimator, description.state)
     except ValueError as error:
         raise RecordingError(
-            f"{path}: metadata aemd.state: {error}; name an estimator by --estimator to begin afresh"
+            f"{place}: metadata aemd.state: {error}; name an estimator by --estimator to begin afresh"
         ) from error
 
 
 @contextmanager
-def recording_to(out: Path | None, description: Description, choice: EstimatorChoice) -> Iterator[Recorder | None]:
-    """Give a recorder that is closed at the end, or removed with what it wrote if the replay fails."""
+def recording_to(
+    out: Path | None, description: Description, choice: EstimatorChoice, reason: str = "end"
+) -> Iterator[Recorder | None]:
+    """Give a recorder that is closed at the end for that reason, or removed with what it wrote if the replay fails."""
     if out is None:
         yield None
         return
@@ -147,7 +154,7 @@ def recording_to(out: Path | None, description: Description, choice: EstimatorCh
         recorder.discard()
         raise
     try:
-        recorder.close("end")
+        recorder.close(reason)
     finally:
         recorder.release()
 

@@ -8,9 +8,12 @@ from aemd import __version__
 from aemd.archive.places import Place
 from aemd.errors import RecordingError
 
-__all__ = ["Entry", "Manifest"]
+__all__ = ["FORM", "Entry", "Manifest"]
 
 NAME = "manifest.json"
+FORM = 2
+"""Of the results and states: raised where the same version number makes others than it did. Results of form 1 had the
+state of the recorded estimator, whichever had made them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +36,8 @@ class Entry:
     state_sha256: str
     """Of its state after the last; "" where the run ends, and nothing follows."""
     aemd: str = __version__
+    form: int = 1
+    """What `FORM` was when it was made; a manifest that does not tell is of the first."""
 
 
 @dataclass(slots=True)
@@ -101,7 +106,7 @@ class Manifest:
         entry = self.entries.get(name)
         return (
             entry is not None
-            and entry.aemd == __version__
+            and (entry.aemd, entry.form) == (__version__, FORM)
             and dict(entry.asked) == dict(asked)
             and entry.before_sha256 == before_sha256
             and _is_unchanged(source, entry.source_stamp, entry.source_sha256)

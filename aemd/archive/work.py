@@ -6,7 +6,7 @@ import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from multiprocessing import active_children, get_context, parent_process
 from multiprocessing.connection import wait
@@ -15,17 +15,18 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 
-from aemd.archive.manifest import Entry
+from aemd.archive.manifest import FORM, Entry
 from aemd.archive.places import Place
 from aemd.archive.state import Carried, digest, load_state, save_state
 from aemd.block import READING
 from aemd.config import EstimatorChoice, recorded_estimator
 from aemd.errors import InstrumentError, RecordingError
 from aemd.estimate.registry import make_estimator
+from aemd.estimate.state import save_state as state_as_text
 from aemd.pipeline import Tally, run
 from aemd.record.disk import NO_ROOM
 from aemd.record.source import Selection, open_readings
-from aemd.replay import choose, recording_to
+from aemd.replay import begin_with, choose, recording_to
 
 __all__ = ["NoRoomError", "Task", "is_full", "replay_file", "workers"]
 
@@ -89,15 +90,21 @@ def _replay_file(task: Task) -> tuple[Entry, bytes | None]:
         description = recording.description
         if task.state is not None:
             choice, estimator = load_state(task.state)
+            description = replace(description, state=state_as_text(estimator))  # the result replays alone, to the bit
         else:
-            choice = choose(task.model or recorded_estimator(description, task.name), task.estimator)
+            recorded = recorded_estimator(description, task.source.url)
+            choice = choose(task.model or recorded, task.estimator)
             if not description.interval_s > 0:
                 raise RecordingError(f"{task.source.url}: has no interval between readings, which an estimator needs")
             estimator = make_estimator(choice.name, choice.options, description.interval_s)
+            if description.state and choice == recorded:
+                begin_with(estimator, description, task.source.url)
+            else:
+                description = replace(description, state={})  # what is estimated anew begins at its first reading
         estimator.push(np.empty(0, READING))
         tally = Tally(description.first_index)
         with task.out.made() as made:
-            with recording_to(made, description, choice) as recorder:
+            with recording_to(made, description, choice, "end" if task.is_last else "rotate") as recorder:
                 source = recording.batches()
                 run(source, estimator if task.is_last else Carried(estimator), [tally, cast("Any", recorder)])
             out_sha256 = Place(str(made)).checksum()
@@ -114,6 +121,7 @@ def _replay_file(task: Task) -> tuple[Entry, bytes | None]:
         asked=task.asked,
         before_sha256=digest(task.state),
         state_sha256=digest(state),
+        form=FORM,
     )
     return entry, state
 

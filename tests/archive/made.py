@@ -9,8 +9,12 @@ import numpy as np
 from mcap.writer import Writer
 
 from aemd.block import ESTIMATE, READING, Batch, Block, Status
+from aemd.config import EstimatorChoice, name_estimator
+from aemd.estimate.registry import make_estimator
+from aemd.estimate.state import copy_state, write_state
 from aemd.record.description import Description, write_parameters
 from aemd.record.reader import Recording
+from aemd.record.rollover import Rollover, Segment
 from aemd.record.writer import Recorder
 
 INTERVAL_S = 0.067
@@ -71,6 +75,36 @@ def write_segments(folder: Path, readings: Block, count: int, *, session: str = 
         )
         for number, part in enumerate(parts)
     ]
+
+
+def acquire(folder: Path, readings: Block, estimator: str | EstimatorChoice = "aem") -> list[Path]:
+    """Record readings with their estimates as an acquisition does that rotates every 20 s, about 300 readings."""
+    folder.mkdir(parents=True, exist_ok=True)
+    choice = name_estimator(estimator) if isinstance(estimator, str) else estimator
+    running = make_estimator(choice.name, choice.options, INTERVAL_S)
+    paths: list[Path] = []
+
+    def open_file(segment: Segment) -> Recorder:
+        paths.append(folder / f"{len(paths):03}.mcap")
+        description = Description(
+            interval_s=INTERVAL_S,
+            session={"id": "acquired"},
+            estimator=choice.as_text(),
+            first_index=segment.first_index,
+            segment=segment.as_text(),
+            state=write_state(segment.state),
+        )
+        return Recorder(paths[-1], description)
+
+    rollover = Rollover(open_file, rotate_s=20.0)
+    for at in range(0, len(readings), 10):
+        block = readings[at : at + 10]
+        rollover.write(Batch(block), running.push(block))
+        rollover._join()  # the file before is finished by a thread; a rotation does not wait for it
+        rollover.take_state(copy_state(running))
+    rollover.write(Batch(readings[:0]), running.flush())
+    rollover.close("stop")
+    return paths
 
 
 def estimates_in(paths: list[Path]) -> np.ndarray:

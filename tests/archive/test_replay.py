@@ -14,11 +14,14 @@ import pytest
 from aemd.archive import ArchiveSummary, replay_archive
 from aemd.archive.places import Place
 from aemd.archive.state import load_state
+from aemd.config import EstimatorChoice
 from aemd.errors import RecordingError, UsageError
+from aemd.estimate.aem import AemOptions
+from aemd.estimate.imm import ImmOptions
 from aemd.estimate.registry import ESTIMATORS
 from aemd.record.source import Selection
 from aemd.replay import replay
-from tests.archive.made import estimates_in, readings_of, write, write_segments
+from tests.archive.made import acquire, estimates_in, readings_of, write, write_segments
 
 
 def _model(path: Path, text: str) -> Path:
@@ -112,6 +115,52 @@ def test_after_a_kill_the_rest_is_made_and_what_was_made_is_no_stranger(tmp_path
     replay_archive(str(tmp_path / "in"), str(out))
     for path in sorted((tmp_path / "whole").glob("*.mcap")):
         assert path.read_bytes() == (out / path.name).read_bytes()
+
+
+@pytest.mark.parametrize("estimator", ["aem", "imm"])
+@pytest.mark.parametrize("model", [None, 'name = "rem"', 'name = "imm"\nlag = 20'])
+def test_each_result_of_a_rotated_recording_replays_alone_to_the_bit(
+    tmp_path: Path, estimator: str, model: str | None
+) -> None:
+    parts = acquire(tmp_path / "in", readings_of(1000), estimator)
+    path = None if model is None else _model(tmp_path / "m.toml", model)
+
+    done = replay_archive(str(tmp_path / "in"), str(tmp_path / "out"), model=path)
+
+    assert (len(parts), done.runs, done.replayed, done.failed) == (4, 1, 4, ())
+    for part in parts:
+        again = replay(tmp_path / "out" / part.name, check=True)
+        assert (again.difference, again.identical) == (None, True), part.name
+
+
+@pytest.mark.parametrize("choice", [EstimatorChoice("aem", AemOptions()), EstimatorChoice("imm", ImmOptions(lag=20))])
+def test_an_archive_that_begins_in_the_midst_of_a_session_gives_the_recorded_estimates(
+    tmp_path: Path, choice: EstimatorChoice
+) -> None:
+    parts = acquire(tmp_path / "in", readings_of(1000), choice)
+    recorded = estimates_in(parts[2:])
+    for part in parts[:2]:
+        part.unlink()
+
+    done = replay_archive(str(tmp_path / "in"), str(tmp_path / "out"))
+
+    assert (done.runs, done.replayed, done.failed) == (1, 2, ())
+    assert estimates_in(sorted((tmp_path / "out").glob("*.mcap"))).tobytes() == recorded.tobytes()
+    assert all(replay(path, check=True).identical for path in (tmp_path / "out").glob("*.mcap"))
+
+
+def test_results_of_an_earlier_form_are_made_again(tmp_path: Path) -> None:
+    write_segments(tmp_path / "in", readings_of(400), 2)
+    _archive(tmp_path)
+    manifest = tmp_path / "out" / "manifest.json"
+    told = json.loads(manifest.read_text())
+    for entry in told["files"].values():
+        del entry["form"]  # the first did not tell
+    manifest.write_text(json.dumps(told))
+
+    done = [_archive(tmp_path) for _ in range(2)]
+
+    assert [(item.replayed, item.unchanged, item.failed) for item in done] == [(2, 0, ()), (0, 2, ())]
 
 
 def test_another_topic_is_another_result(tmp_path: Path) -> None:
