@@ -6,6 +6,7 @@ The meter is set up and measured with, so what it was doing is over; nothing is 
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 
@@ -64,12 +65,14 @@ def characterise(
     answers = [Answer("*IDN?", identity)]
     for question, ask in _QUESTIONS.items():
         try:
+            bench.make_ready()
             answer = ask(bench)
         except (InstrumentError, ValueError) as error:
             answer = f"no answer: {error}"
-            bench.reopen()
+            bench.has_failed = True
         answers.append(Answer(question, answer))
     with suppress(InstrumentError):
+        bench.make_ready()
         bench.link.query("ABOR;*RST;*CLS;:DISP ON;*OPC?")
         bench.link.write("SYST:LOC")
     bench.link.close()
@@ -81,7 +84,14 @@ class _Bench:
         self.link = link
         self.clock = clock
         self.sleep = sleep
+        self.has_failed = False
         self._opener = opener
+
+    def make_ready(self) -> None:
+        """Open another link where a question failed; one that cannot be opened costs that question, and no other."""
+        if self.has_failed:
+            self.reopen()
+            self.has_failed = False
 
     def reopen(self) -> None:
         """Close the link and open another."""
@@ -100,7 +110,7 @@ class _Bench:
 
     def waiting(self) -> int:
         """Return how many readings are in the memory."""
-        return int(float(self.link.query("DATA:POIN?")))
+        return int(_number(self.link.query("DATA:POIN?")))
 
     def finish(self, count: int, at_most_s: float) -> tuple[int, int]:
         """Return between which two instants, ns, the reading of that count was finished, and be quick about it."""
@@ -119,7 +129,7 @@ def _timer_grid(bench: _Bench) -> str:
     bench.set_up(interval_s=1e-3)
     asked_s = 1e-3 + np.arange(0, 101) * 1e-6
     kept_s = np.array(
-        [float(bench.link.query(f"SAMP:TIM {value:.9g};:SAMP:TIM?")) for value in asked_s], dtype=np.float64
+        [_number(bench.link.query(f"SAMP:TIM {value:.9g};:SAMP:TIM?")) for value in asked_s], dtype=np.float64
     )
     steps_s = np.diff(np.unique(np.round(kept_s, 10)))
     if not steps_s.size:
@@ -153,8 +163,12 @@ def _empty(bench: _Bench) -> str:
     try:
         block, _ = bench.link.query_block("R? 1", 8)
     except InstrumentError as error:
-        bench.reopen()
-        return f"no block ({error}); error queue {bench.link.query('SYST:ERR?')}"
+        answer = f"no block ({error})"
+        bench.has_failed = True
+        with suppress(InstrumentError):  # the answer stands without what the queue says of it
+            bench.make_ready()
+            answer += f"; error queue {bench.link.query('SYST:ERR?')}"
+        return answer
     return f"a block of {len(block)} bytes; error queue {bench.link.query('SYST:ERR?')}"
 
 
@@ -178,7 +192,7 @@ def _lost_link(bench: _Bench) -> str:
     bench.reopen()
     after = bench.waiting()
     expected = before + round((bench.clock() - left_ns) * 1e-7)
-    state = "still sampling" if int(float(bench.link.query("STAT:OPER:COND?"))) & 0x30 else "sampling no more"
+    state = "still sampling" if int(_number(bench.link.query("STAT:OPER:COND?"))) & 0x30 else "sampling no more"
     return f"{before} readings when the link was closed for 5 s, {after} after ({expected} if nothing stops); {state}"
 
 
@@ -196,7 +210,7 @@ def _disturbance(bench: _Bench) -> str:
         bench.sleep(max(0.0, 2.0 - (bench.clock() - begun_ns) * 1e-9))
         made = bench.waiting()
         took_s = (bench.clock() - begun_ns) * 1e-9
-        late = int(float(bench.link.query("STAT:QUES:EVEN?"))) & 4
+        late = int(_number(bench.link.query("STAT:QUES:EVEN?"))) & 4
         counts.append(f"{made / took_s:.1f} readings/s, timing violation {'yes' if late else 'no'}")
     return f"without questions {counts[0]}; asked every 10 ms {counts[1]}"
 
@@ -208,6 +222,18 @@ def _block_and_more(bench: _Bench) -> str:
     count = bench.waiting()
     block, rest = bench.link.query_block(f"STAT:QUES:ENAB 17;:R? {count};:STAT:QUES:ENAB?", 8 * count)
     return f"{len(block) // 8} readings of {count}, then {rest!r}"
+
+
+def _number(answer: str) -> float:
+    """Return the number that an answer is; 9.9E400 and nan are none.
+
+    Raises:
+        ValueError: it is none.
+    """
+    number = float(answer)
+    if not isfinite(number):
+        raise ValueError(f"the answer {answer!r} is not a number")
+    return number
 
 
 _QUESTIONS: dict[str, Callable[[_Bench], str]] = {

@@ -5,6 +5,7 @@ import re
 import pytest
 
 from aemd.acquire.instrument import BusyError
+from aemd.errors import InstrumentError
 from agilent34410 import Options, characterise
 from agilent34410.meter import open_instrument
 from sim34410 import Meter, MeterProperties
@@ -75,6 +76,61 @@ def test_a_line_that_breaks_at_one_question_is_opened_again_for_the_others() -> 
     lacking = [one.question for one in found if one.answer.startswith("no answer")]
 
     assert lacking == ["largest SAMP:COUN"]
+
+
+class Leaving(SimulatedLink):
+    """A line that ends at the question for an empty memory's block."""
+
+    def query_block(self, command: str, most: int) -> tuple[bytes, str]:
+        if command == "R? 1":
+            self.close()
+        return super().query_block(command, most)
+
+
+@pytest.mark.parametrize("refusals", [1, 2, 100])
+def test_a_line_that_cannot_be_opened_again_costs_no_answer_that_was_given(refusals: int) -> None:
+    clock = SteppedClock()
+    bench = Bench(Meter(Slope(), clock, MeterProperties(noise=False)), clock)
+    opened: list[Leaving] = []
+
+    def open_line() -> Leaving:
+        if opened and refusals_left.pop():
+            raise InstrumentError("SIM: cannot open: connection refused")
+        opened.append(Leaving(bench, clock))
+        return opened[-1]
+
+    refusals_left = [False] * 100 + [True] * refusals
+    found = {one.question: one.answer for one in characterise("SIM", Options(), clock, clock.sleep, open_line)}
+    lacking = [question for question, answer in found.items() if answer.startswith("no answer")]
+
+    assert len(found) == 9
+    assert found["step of the sample timer"].startswith("steps of")
+    assert found["R? on an empty memory"].startswith("no block (")
+    # One refusal is that of the question for the error queue; each further one costs a question more.
+    assert len(lacking) == min(refusals - 1, 4)
+    assert all("cannot open: connection refused" in found[question] for question in lacking)
+    assert not opened[-1].is_open
+
+
+@pytest.mark.parametrize(
+    ("asked", "answer"),
+    [("DATA:POIN?", "1e400"), ("SAMP:TIM?", "nan"), ("STAT:OPER:COND?", "-inf"), ("STAT:QUES:EVEN?", "9.9E999")],
+)
+def test_what_is_no_number_is_no_answer_and_no_error(asked: str, answer: str) -> None:
+    clock = SteppedClock()
+    bench = Bench(Meter(Slope(), clock, MeterProperties(noise=False)), clock)
+
+    class Mad(SimulatedLink):
+        def query(self, command: str) -> str:
+            said = super().query(command)
+            return answer if command.endswith(asked) and "STAT:QUES:ENAB" not in command else said
+
+    found = characterise("SIM", Options(), clock, clock.sleep, lambda: Mad(bench, clock))
+    lacking = [one.answer for one in found if one.answer.startswith("no answer")]
+
+    assert len(found) == 9
+    assert lacking
+    assert set(lacking) == {f"no answer: the answer {answer!r} is not a number"}
 
 
 def test_a_meter_that_another_program_reads_is_not_asked() -> None:
