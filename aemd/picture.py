@@ -3,9 +3,10 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -25,7 +26,8 @@ BINS = 2000
 """Columns of the picture: more than two readings in each are drawn as their least and their greatest."""
 PIECE_POINTS = 200
 """A line is painted in pieces of so many points: painted whole, one that goes up and down in every column takes some
-tens of megabytes, and more the farther it goes."""
+tens of megabytes, and more the farther it goes. Each piece begins with the last point of the one before: those that
+matplotlib makes itself (agg.path.chunksize) do not, and what happens between them is not drawn."""
 LARGEST = 1e100
 """Beyond it the arithmetic of axes overflows; what is drawn as this is off every chart."""
 SPANS = 500
@@ -63,7 +65,7 @@ def draw(path: Path, picture: Path, *, selection: Selection | None = None, conso
     ratios = [4, 1] if with_estimate else [1]
     axes = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
     divisor, time_unit = next((pair for pair in TIME_UNITS if shown.span_s >= 3 * pair[0]), (1.0, "s"))
-    axes[0].plot(raw[0] / divisor, raw[1] * factor, color=RAW_COLOUR, lw=0.8, label="readings")
+    _paint(axes[0], raw[0] / divisor, raw[1] * factor, color=RAW_COLOUR, lw=0.8, label="readings")
     if with_estimate:
         time, band, middle = estimate[0] / divisor, 2 * sigma[1] * factor, estimate[1] * factor
         step = 2 if shown.is_binned else 1
@@ -76,8 +78,8 @@ def draw(path: Path, picture: Path, *, selection: Selection | None = None, conso
             lw=0,
             label="±2 sigma",
         )
-        axes[0].plot(time, middle, color=ESTIMATE_COLOUR, lw=1.2, label="estimate")
-        axes[1].plot(window[0] / divisor, window[1], color="tab:green", lw=0.8, drawstyle="steps-post")
+        _paint(axes[0], time, middle, color=ESTIMATE_COLOUR, lw=1.2, label="estimate")
+        _paint(axes[1], window[0] / divisor, window[1], color="tab:green", lw=0.8, drawstyle="steps-post")
         axes[1].set_ylabel("window (readings)")
         axes[1].set_ylim(bottom=0)
     for number, (before_s, after_s) in enumerate(shown.gaps):
@@ -96,8 +98,7 @@ def draw(path: Path, picture: Path, *, selection: Selection | None = None, conso
         axis.grid(visible=True, alpha=0.3)
         axis.spines[["top", "right"]].set_visible(False)
     try:
-        with rc_context({"agg.path.chunksize": PIECE_POINTS}):
-            figure.savefig(picture)
+        figure.savefig(picture)
     except (OSError, ValueError) as error:
         raise RecordingError(f"{picture}: cannot write the picture: {error}; name a .png, .pdf or .svg") from error
 
@@ -207,7 +208,13 @@ class _Bins:
         return np.repeat(middle_s, 2), np.column_stack([low, self._high]).ravel()
 
 
-def _once(label: str, number: int) -> str | None:
+def _paint(axes: Axes, x: Floats, y: Floats, *, label: str | None = None, **look: Any) -> None:
+    for number, begin in enumerate(range(0, max(len(x) - 1, 1), PIECE_POINTS)):
+        piece = slice(begin, begin + PIECE_POINTS + 1)
+        axes.plot(x[piece], y[piece], label=_once(label, number), **look)
+
+
+def _once(label: str | None, number: int) -> str | None:
     """Return the label for the first of many alike, so that the legend has it once."""
     return label if number == 0 else None
 

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.image import imread
 
 from aemd.block import Batch, Block, Status
 from aemd.picture import BINS, _gather, draw
@@ -42,6 +44,26 @@ def test_a_short_recording_is_drawn_point_by_point_and_broken_at_a_gap(written: 
     assert np.allclose(shown.gaps, [(299 * STEP_NS * 1e-9, 310 * STEP_NS * 1e-9)])
     assert np.allclose(shown.no_value, [510 * STEP_NS * 1e-9])
     assert time_s[-1] == pytest.approx(shown.span_s)
+
+
+@pytest.mark.parametrize("shock", [100, 198, 199, 200, 201])
+def test_a_shock_is_seen_wherever_it_is_in_the_line(shock: int, tmp_path: Path) -> None:
+    """Up in the readings, down in the estimates, and in the windows: each goes where nothing else is drawn."""
+    readings = readings_of(400)
+    estimates = estimates_of(readings)
+    readings["value_V"], estimates["value_V"], estimates["sigma_V"], estimates["window"] = 0.0, 0.0, 1e-3, 15
+    readings["value_V"][shock], estimates["value_V"][shock], estimates["window"][shock] = 5.0, -5.0, 1000
+    recorder = Recorder(tmp_path / "r.mcap", Description(estimator=write_parameters("aem", {})))
+    recorder.write(Batch(readings), estimates)
+
+    draw(recorder.close(), tmp_path / "p.png")
+
+    colours = np.rint(imread(tmp_path / "p.png")[..., :3] * 255)
+    height = len(colours)
+    for name, above, below in (("0.65", 0.15, 0.35), ("tab:blue", 0.45, 0.65), ("tab:green", 0.8, 0.9)):
+        part = colours[int(above * height) : int(below * height)]
+        is_line = (np.abs(part - 255 * np.array(to_rgb(name))) < 60).all(axis=2)
+        assert is_line.any(axis=1).all(), name
 
 
 def test_of_a_long_recording_each_column_shows_its_extremes(written: Callable[[Block], Path]) -> None:
