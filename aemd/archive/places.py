@@ -206,8 +206,10 @@ def find(pattern: str, *, besides: Place | None = None) -> list[Found]:
         names = [name for name in every if Path(name).is_file()]
         found = [Found(Place(name), _below(name, root)) for name in names]
     if besides is not None:
-        outside = _absolute(besides).rstrip("/") + "/"
-        found = [item for item in found if not _absolute(item.place).startswith(outside)]
+        results = tuple(_forms(besides.url))
+        folders = {_folder_of(item) for item in found}
+        within = {folder for folder in folders if any(form.startswith(results) for form in _forms(folder))}
+        found = [item for item in found if _folder_of(item) not in within]
     if not found:
         raise UsageError(f"{pattern}: no such file; put the pattern in quotes, so that the shell leaves it alone")
     return sorted(found, key=lambda item: item.name)
@@ -241,8 +243,24 @@ def _system_of(url: str) -> tuple[Any, str]:
     return system, str(path)
 
 
-def _absolute(place: Place) -> str:
-    return os.path.abspath(place.url) if place.is_local else place.url  # noqa: PTH100 - a link's name counts
+def _folder_of(item: Found) -> str:
+    """Return where a file lies, with the / at its end: a scheme's root is lost without."""
+    return item.place.url[: item.place.url.rfind("/") + 1]
+
+
+def _forms(folder: str) -> set[str]:
+    """Return the names that tell whether one folder lies in another: of a local one, with links as named and followed.
+
+    They are the same whichever of its schemes named the folder, or none.
+    """
+    if "://" in folder:
+        system, path = _system_of(folder)
+        protocols = (system.protocol,) if isinstance(system.protocol, str) else system.protocol
+        if "file" not in protocols:
+            return {str(system.unstrip_protocol(path)).rstrip("/") + "/"}
+        folder = path
+    names = (os.path.abspath(folder), os.path.realpath(folder))  # noqa: PTH100 - resolve() would follow links in both
+    return {name.rstrip("/") + "/" for name in names}
 
 
 def _fixed_part(pattern: str) -> str:

@@ -242,6 +242,42 @@ def test_results_in_the_midst_of_their_archive_are_not_taken_for_a_part_of_it(tm
     assert [(item.files, item.replayed) for item in done] == [(1, 1), (1, 0)]
 
 
+@pytest.mark.parametrize(
+    ("pattern", "out"),
+    [
+        ("file://{}/**/*.mcap", "{}/out"),
+        ("local://{}/**/*.mcap", "{}/out"),
+        ("{}/**/*.mcap", "file://{}/out"),
+        ("file://{}/**/*.mcap", "local://{}/out"),
+        ("{}/**/*.mcap", "{}/../link"),
+        ("file://{}/**/*.mcap", "{}/../link"),
+        ("memory://{}/**/*.mcap", "memory:/{}/out"),
+    ],
+)
+def test_results_are_known_however_their_folder_is_named(tmp_path: Path, pattern: str, out: str) -> None:
+    fsspec = pytest.importorskip("fsspec")
+    archive = tmp_path / "in"
+    made = write(archive / "a.mcap", readings_of(200))
+    (archive / "out").mkdir()
+    (tmp_path / "link").symlink_to(archive / "out")
+    if pattern.startswith("memory"):
+        system = fsspec.filesystem("memory")
+        system.makedirs(str(archive), exist_ok=True)
+        system.put_file(str(made), str(made))
+
+    done = [replay_archive(pattern.format(archive), out.format(archive)) for _ in range(2)]
+
+    assert [(item.files, item.replayed, item.failed) for item in done] == [(1, 1, ()), (1, 0, ())]
+
+
+def test_a_source_that_is_a_link_to_a_result_is_a_source(tmp_path: Path) -> None:
+    write(tmp_path / "out" / "kept" / "b.mcap", readings_of(200))
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.mcap").symlink_to(tmp_path / "out" / "kept" / "b.mcap")
+
+    assert _archive(tmp_path).files == 1
+
+
 def test_the_manifest_tells_sources_results_and_their_checksums(tmp_path: Path) -> None:
     source = write(tmp_path / "in" / "day" / "a.mcap", readings_of(200))
 
