@@ -13,12 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
 
+from serial.tools import list_ports
+
 __all__ = ["SYSFS", "Device", "list_devices", "list_usb"]
 
 PORT = 5025  # of a raw SCPI socket, by its entry in the IANA list
 HIGHEST_PORT = 65_535
 LONGEST_ANSWER = 256
-FIRST_PART = 0.9  # of the time is a host's, so that what became of it can be told
+FIRST_PART = 0.9  # of the time is a host's and the search's, so that what became of them can be told
+SEARCH = "search of the LAN"
 SYSFS = Path("/sys/bus/usb/devices")
 USB_TMC = ("fe", "03")  # class and subclass of the interface (USBTMC 1.00, table 43)
 
@@ -46,26 +49,23 @@ def list_devices(
         timeout_s: longest time altogether, s; the broadcasts of pyvisa-py take 2 s.
         hosts: names or addresses to ask on the LAN, `host` or `host:port`.
         usb_tree: where the kernel tells of USB devices.
-        search: also have pyvisa look for serial ports and, by broadcasts, for instruments on the LAN.
+        search: also list the serial ports and have pyvisa look, by broadcasts, for instruments on the LAN.
     """
     named: list[Device] = []
-    listed: list[str] = []
+    outcomes: list[list[Device]] = []
     searches = [Thread(target=_ask_host, args=(host, timeout_s, named), daemon=True) for host in hosts]
     if search:
-        searches.append(Thread(target=_list_resources, args=(listed, timeout_s), daemon=True))
+        searches.append(Thread(target=_search_lan, args=(FIRST_PART * timeout_s, outcomes), daemon=True))
     for one in searches:
         one.start()
-    usb = list_usb(usb_tree)
+    here = [*list_usb(usb_tree), *(_list_serial() if search else ())]
     end_s = time.monotonic() + timeout_s
     for one in searches:
         one.join(max(0.0, end_s - time.monotonic()))
-    known = {device.resource for device in usb}
-    others = [_name(resource) for resource in list(listed) if resource.startswith(("ASRL", "TCPIP", "GPIB"))]
-    return [
-        *usb,
-        *sorted(named, key=lambda device: (device.resource, device.found)),
-        *(device for device in others if device.resource not in known),
-    ]
+    asked = sorted(named, key=lambda device: (device.resource, device.found))
+    if search and not outcomes:
+        outcomes = [[Device("", "LAN", SEARCH, f"not finished within {timeout_s:g} s; --timeout longer")]]
+    return [*here, *asked, *(device for outcome in outcomes for device in outcome)]
 
 
 def list_usb(tree: Path = SYSFS) -> list[Device]:
@@ -77,6 +77,10 @@ def list_usb(tree: Path = SYSFS) -> list[Device]:
         device = tree / interface.name.partition(":")[0]
         vendor, product, serial = (_text(device / name) for name in ("idVendor", "idProduct", "serial"))
         said = " ".join(filter(None, (_text(device / "manufacturer"), _text(device / "product")))) or "a USB-TMC device"
+        if not serial:
+            hint = "it tells no serial number, by which it would be opened: use its LAN or RS-232"
+            found.append(Device("", "USB", said, hint))
+            continue
         resource = f"USB0::0x{vendor}::0x{product}::{serial}::INSTR"
         node = f"/dev/bus/usb/{_text(device / 'busnum'):0>3}/{_text(device / 'devnum'):0>3}"
         hint = ""
@@ -89,28 +93,39 @@ def list_usb(tree: Path = SYSFS) -> list[Device]:
     return found
 
 
-def _list_resources(listed: list[str], timeout_s: float) -> None:
-    """Let a process of its own search: pyvisa-py leaves its broadcasts' sockets open, and cannot be told to end."""
+def _list_serial() -> list[Device]:
+    return [_name_serial(port.device) for port in sorted(list_ports.comports())]
+
+
+def _name_serial(path: str) -> Device:
+    hint = (
+        "" if os.access(path, os.R_OK | os.W_OK) else f"no permission for {path}: join the group that owns it (dialout)"
+    )
+    return Device(f"ASRL{path}::INSTR", "serial", "a serial port", hint)
+
+
+def _search_lan(timeout_s: float, outcomes: list[list[Device]]) -> None:
+    """Let a process of its own search: pyvisa-py leaves its broadcasts' sockets open, and cannot be told to end.
+
+    What it found is one outcome; there is none where it did not come to its end in time.
+    """
     search = "import pyvisa; print(*pyvisa.ResourceManager('@py').list_resources('?*'), sep='\\n')"
     command = [sys.executable, "-W", "ignore", "-c", search]
-    with suppress(subprocess.TimeoutExpired):  # then nothing was found in time
+    with suppress(subprocess.TimeoutExpired):
         found = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False)  # noqa: S603 - our own
-        listed += found.stdout.split()
+        if found.returncode:
+            why = " ".join(found.stderr.split("\n")[-2:]).strip()
+            outcomes.append([Device("", "LAN", SEARCH, f"failed: {why}")])
+            return
+        outcomes.append([_name(one) for one in found.stdout.split() if one.startswith(("TCPIP", "GPIB"))])
 
 
 def _name(resource: str) -> Device:
-    if resource.startswith("ASRL"):
-        return _serial(resource)
-    return Device(resource, "LAN", "a VXI-11 instrument")
-
-
-def _serial(resource: str) -> Device:
-    path = resource.removeprefix("ASRL").partition("::")[0]
-    if os.access(path, os.R_OK | os.W_OK):
-        return Device(resource, "serial", "a serial port")
-    return Device(
-        resource, "serial", "a serial port", f"no permission for {path}: join the group that owns it (dialout)"
-    )
+    kind, _, rest = resource.partition("::")
+    if kind.startswith("GPIB"):
+        return Device(resource, "GPIB", "an instrument on this bus")
+    is_hislip = "::hislip" in f"::{rest.lower()}"
+    return Device(resource, "LAN", "a HiSLIP instrument" if is_hislip else "a VXI-11 instrument")
 
 
 def _ask_host(host: str, timeout_s: float, named: list[Device]) -> None:

@@ -5,8 +5,10 @@ import time
 from pathlib import Path
 
 import pytest
+from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
 
-from aemd.acquire.devices import Device, list_devices
+from aemd.acquire.devices import SEARCH, Device, _name, list_devices, list_usb
 
 
 @pytest.fixture
@@ -33,6 +35,47 @@ def test_a_usb_meter_that_may_not_be_opened_is_listed_with_what_to_do(usb_tree: 
     assert found[0].found == "Agilent Technologies 34410A"
     assert "/dev/bus/usb/099/007: install the udev rule" in found[0].hint
     assert not os.access("/dev/bus/usb/099/007", os.R_OK)
+
+
+def test_a_usb_device_without_a_serial_number_is_listed_and_not_offered(usb_tree: Path) -> None:
+    (usb_tree / "1-2" / "serial").unlink()
+    (found,) = list_usb(usb_tree)
+
+    assert (found.resource, found.found) == ("", "Agilent Technologies 34410A")
+    assert "no serial number" in found.hint
+
+
+def test_a_search_that_is_cut_short_says_so_and_hides_no_serial_port(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(list_ports, "comports", lambda: [ListPortInfo(str(tmp_path / "ttyUSB0"))])
+    found = list_devices(0.1, usb_tree=tmp_path)  # the broadcasts alone take a second
+
+    assert [(device.resource, device.hint) for device in found] == [
+        (
+            f"ASRL{tmp_path}/ttyUSB0::INSTR",
+            f"no permission for {tmp_path}/ttyUSB0: join the group that owns it (dialout)",
+        ),
+        ("", "not finished within 0.1 s; --timeout longer"),
+    ]
+
+
+def test_a_search_that_comes_to_its_end_says_nothing_of_itself(tmp_path: Path) -> None:
+    found = list_devices(100.0, usb_tree=tmp_path)
+
+    assert not [device for device in found if device.found == SEARCH]
+
+
+@pytest.mark.parametrize(
+    ("resource", "link", "found"),
+    [
+        ("GPIB0::22::INSTR", "GPIB", "an instrument on this bus"),
+        ("TCPIP::10.0.0.2::hislip0,4880::INSTR", "LAN", "a HiSLIP instrument"),
+        ("TCPIP::10.0.0.2::INSTR", "LAN", "a VXI-11 instrument"),
+    ],
+)
+def test_what_a_search_finds_is_called_by_its_own_link(resource: str, link: str, found: str) -> None:
+    assert _name(resource) == Device(resource, link, found)
 
 
 def test_a_named_host_is_asked_who_it_is_and_a_silent_or_absent_one_is_told_of(tmp_path: Path) -> None:
