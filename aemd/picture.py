@@ -133,7 +133,9 @@ def _gather(recording: Readings, console: Console | None) -> _Shown | None:
     make: Callable[[], _Points | _Bins] = (lambda: _Bins(span_s)) if is_binned else _Points
     lines = {name: make() for name in LINES}
     gaps, no_value = list[tuple[float, float]](), list[float]()
-    last_index, last_s = -1, 0.0
+    last_index: int | None = None
+    last_estimate: int | None = None
+    last_s = 0.0
     with advancing(count, console) as bar:
         for batch, estimates in recording.batches_with_estimates():
             block = batch.readings
@@ -141,12 +143,8 @@ def _gather(recording: Readings, console: Console | None) -> _Shown | None:
             time_s = (block["t_ns"] - t0_ns) * 1e-9
             usable = (block["status"] & NOT_A_VALUE) == 0
             if len(block):
-                before = np.concatenate(
-                    [[last_index if last_index >= 0 else block["index"][0] - 1], block["index"][:-1]]
-                )
                 before_s = np.concatenate([[last_s], time_s[:-1]])
-                lost = np.flatnonzero(block["index"] - before > 1)
-                # A line that ran on over a gap would show readings that nobody took.
+                lost = _gaps(block["index"], last_index)
                 values = np.where(usable, np.clip(block["value_V"], -LARGEST, LARGEST), np.nan)
                 lines["raw"].add(np.insert(time_s, lost, time_s[lost]), np.insert(values, lost, np.nan))
                 gaps += zip(before_s[lost].tolist(), time_s[lost].tolist(), strict=True)
@@ -154,13 +152,24 @@ def _gather(recording: Readings, console: Console | None) -> _Shown | None:
                 gaps, no_value = gaps[:SPANS], no_value[:SPANS]
                 last_index, last_s = int(block["index"][-1]), float(time_s[-1])
             at_s = (estimates["t_ns"] - t0_ns) * 1e-9
-            breaks = np.flatnonzero(estimates["index"][1:] - estimates["index"][:-1] > 1) + 1
+            breaks = _gaps(estimates["index"], last_estimate)
             for name, field in (("estimate", "value_V"), ("sigma", "sigma_V"), ("window", "window")):
                 values = np.clip(estimates[field].astype(np.float64), -LARGEST, LARGEST)
                 lines[name].add(np.insert(at_s, breaks, at_s[breaks]), np.insert(values, breaks, np.nan))
+            last_estimate = int(estimates["index"][-1]) if len(estimates) else last_estimate
     return _Shown(
         span_s, {name: line.line(widest=name == "sigma") for name, line in lines.items()}, gaps, no_value, is_binned
     )
+
+
+def _gaps(index: NDArray[np.int64], last: int | None) -> NDArray[np.intp]:
+    """Return the places before which numbers are missing, and a line breaks: it would show readings that nobody took.
+
+    Args:
+        index: the numbers of a batch's readings or estimates; there may be none.
+        last: the one before them; None for the first batch.
+    """
+    return np.flatnonzero(np.diff(index, prepend=index[:1] - 1 if last is None else last) > 1)
 
 
 def _count(recording: Readings) -> tuple[int, int, int]:

@@ -46,6 +46,32 @@ def test_a_short_recording_is_drawn_point_by_point_and_broken_at_a_gap(written: 
     assert time_s[-1] == pytest.approx(shown.span_s)
 
 
+@pytest.mark.parametrize("chunks", [[slice(0, 200)], [slice(0, 100), slice(100, 200)]])
+def test_each_line_is_broken_at_a_gap_within_a_chunk_or_between_two(tmp_path: Path, chunks: list[slice]) -> None:
+    readings = np.delete(readings_of(300), slice(100, 200))
+    estimates = estimates_of(readings)
+    now_ns = 0
+    recorder = Recorder(
+        tmp_path / "r.mcap",
+        Description(estimator=write_parameters("aem", {})),
+        flush_interval_s=1.0,
+        clock=lambda: now_ns,
+    )
+    for part in chunks:
+        recorder.write(Batch(readings[part]), estimates[part])
+        now_ns += 2 * 10**9
+        recorder.write(Batch(readings[:0]), estimates[:0])  # what is held is written: the chunk ends
+
+    with open_readings(recorder.close()) as recording:
+        assert len(list(recording.batches())) == len(chunks)
+        shown = _gather(recording, None)
+
+    assert shown is not None
+    assert {name: np.flatnonzero(np.isnan(values)).tolist() for name, (_, values) in shown.lines.items()} == {
+        name: [100] for name in ("raw", "estimate", "sigma", "window")
+    }
+
+
 @pytest.mark.parametrize("shock", [100, 198, 199, 200, 201])
 def test_a_shock_is_seen_wherever_it_is_in_the_line(shock: int, tmp_path: Path) -> None:
     """Up in the readings, down in the estimates, and in the windows: each goes where nothing else is drawn."""
@@ -83,7 +109,10 @@ def test_of_a_long_recording_each_column_shows_its_extremes(written: Callable[[B
     assert time_s[2 * int(np.argmax(values[1::2]))] == pytest.approx(12_345 * STEP_NS * 1e-9, abs=shown.span_s / BINS)
 
 
-def test_a_picture_of_a_number_in_another_file_is_drawn(tmp_path: Path, written: Callable[[Block], Path]) -> None:
-    draw(written(readings_of(5000)), tmp_path / "p.png", selection=Selection("/dmm/filtered", "sigma"))
+@pytest.mark.parametrize("readings", [50, 5000])
+def test_a_picture_of_a_number_in_another_file_is_drawn(
+    readings: int, tmp_path: Path, written: Callable[[Block], Path]
+) -> None:
+    draw(written(readings_of(readings)), tmp_path / "p.png", selection=Selection("/dmm/filtered", "sigma"))
 
     assert (tmp_path / "p.png").read_bytes()[1:4] == b"PNG"
