@@ -21,7 +21,7 @@ __all__ = ["Ledger"]
 NEARLY_FULL = 0.99  # of the memory; 50 ms at 10,000 readings/s and 50,000 of memory, longer than a look takes
 CLOCK_FIRST_NS = 1_000_000_000  # the start-up's fast looks are over by then
 CLOCK_EVERY_NS = 600_000_000_000  # often enough to see the rate follow the room's temperature
-SLACK_READINGS = 2  # by which a count may differ from the clock's before readings have vanished
+SLACK_READINGS = 2  # by which a count may differ from the clock's
 SLACK_RATE = 1e-3  # and this fraction of those since the last look: beyond it no clock is wrong
 SPELLS = {
     "overload": (
@@ -98,6 +98,18 @@ class Ledger:
             doubt += missed // self._epoch_readings
         return self._lose(missed, f"about {missed} readings missed, give or take {doubt}: {why}")
 
+    def is_short(self, asked_ns: int, answered_ns: int) -> bool:
+        """Tell whether readings are missing once all that was left was taken: nobody says so but the clock.
+
+        Args:
+            asked_ns: until when it was to sample, at least.
+            answered_ns: when it had ended.
+        """
+        if not np.isfinite(self._clock.uncertainty_ns):
+            return False
+        least, largest = self._clock.finished(asked_ns, answered_ns)
+        return self.next_index < least - self._slack(answered_ns) and least <= largest
+
     def needs_recount(self, drain: Drain) -> bool:
         """Tell whether `enter` wants another look, one that takes nothing, before it numbers these readings."""
         full = drain.waiting >= NEARLY_FULL * self._memory_readings
@@ -164,7 +176,7 @@ class Ledger:
         """Return how many readings are missing though nobody said so, and by how many that may err."""
         least, largest = self._clock.finished(look.asked_ns, look.answered_ns)
         counted = self.next_index + here
-        slack = SLACK_READINGS + SLACK_RATE * (look.answered_ns - self._looked_ns) / self._clock.interval_ns
+        slack = self._slack(look.answered_ns)
         if counted > largest + slack:  # the host's monotonic clock stood still: it was suspended
             self._clock.forget_offset()
         if counted >= least - slack or least > largest:
@@ -172,6 +184,10 @@ class Ledger:
         doubt = (largest - least + 1) // 2
         self._clock.doubt(doubt)
         return (least + largest) // 2 - counted, doubt
+
+    def _slack(self, now_ns: int) -> float:
+        """Return by how many readings a count may differ from the clock's before readings have vanished."""
+        return SLACK_READINGS + SLACK_RATE * (now_ns - self._looked_ns) / self._clock.interval_ns
 
     def _lose(self, count: int, message: str) -> tuple[Event, ...]:
         if count <= 0:

@@ -312,10 +312,7 @@ class Stream:
         asked_ns = self._clock()
         for _ in range(LAST_ATTEMPTS):
             try:
-                self._instrument.stop()
-                self._sampling = False
-                self.ledger.end(asked_ns, self._clock())
-                yield from self._take_rest()
+                yield from self._stop(asked_ns)
             except InstrumentError as error:
                 if not isinstance(self._instrument, Recoverable):
                     raise
@@ -328,6 +325,20 @@ class Stream:
                 continue
             yield self._delivery(torn)
         yield from self._miss("the link went down during the stop")
+
+    def _stop(self, asked_ns: int) -> Iterator[Delivery]:
+        """Stop the instrument, which was to sample until `asked_ns` at least, and take what it holds.
+
+        An instrument that had stopped by itself a moment ago, or had been cleared, obeys as one that had not: that it
+        holds fewer readings than it must have made is all there is to see.
+        """
+        self._instrument.stop()
+        self._sampling = False
+        ended_ns = self._clock()
+        self.ledger.end(asked_ns, ended_ns)
+        yield from self._take_rest()
+        if not self._left and self._missing() > 0 and self.ledger.is_short(asked_ns, ended_ns):
+            yield self._delivery(self.ledger.miss(asked_ns, ended_ns, "the instrument had stopped"))
 
     def _take_rest(self) -> Iterator[Delivery]:
         """Take what is in the memory of an instrument that has stopped."""

@@ -170,6 +170,20 @@ def test_a_loss_that_is_drained_only_after_the_end_is_counted_up_to_the_end() ->
         bench.check(before)
 
 
+@pytest.mark.parametrize("vanished", [0, 2, 5, 100])
+def test_readings_that_are_not_there_at_the_end_are_missed_by_the_clock_alone(vanished: int) -> None:
+    with benched() as bench:
+        bench.run(2.0, poll_s=0.0101)
+        bench.clock.move(0.02)
+        bench.instrument.stop()
+        stopped_ns = bench.clock()
+        bench.ledger.end(stopped_ns, stopped_ns)
+        bench.meter.memory.take(vanished)
+        bench.look()
+
+        assert bench.ledger.is_short(stopped_ns, stopped_ns) == (vanished > 2)
+
+
 def test_a_memory_that_overflows_between_the_count_and_the_taking_has_its_gap_before_what_was_taken() -> None:
     # The simulated meter does both at one instant, so these looks are made by hand: 10,000 readings/s since 0.
     def look(t_ms: int, taken: int, waiting: int, *, overflowed: bool = False) -> Drain:
