@@ -1,23 +1,24 @@
-"""An estimator between two files: as bytes that another process can go on from, to the bit."""
+"""An estimator between two files: as bytes that another process can go on from, to the bit.
 
-import io
-import pickle
+They are JSON, of the same text that a recording keeps of its estimator: states lie on disk, and what is read from there
+must not be able to call anything.
+"""
+
+import json
 from dataclasses import dataclass
 from hashlib import sha256
-from typing import Any
 
 import numpy as np
 
-from aemd.block import ESTIMATE, Block, Estimates
-from aemd.config import EstimatorChoice
-from aemd.errors import RecordingError
+from aemd.block import ESTIMATE, READING, Block, Estimates
+from aemd.config import EstimatorChoice, choose_estimator
+from aemd.errors import ConfigError, RecordingError
+from aemd.estimate import state
 from aemd.estimate.protocol import Estimator
+from aemd.estimate.registry import make_estimator
+from aemd.record.description import read_parameters
 
 __all__ = ["Carried", "digest", "load_state", "save_state"]
-
-_ALLOWED = ("aemd.estimate.", "aemd.config", "numpy", "filterpy.", "collections", "copyreg", "_codecs")
-"""Packages whose classes a state may name: an unpickler would call anything, and states lie on disk."""
-_ALLOWED_BUILTINS = {"object", "bytearray", "complex", "set", "frozenset", "slice", "range"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,32 +48,31 @@ class Carried:
 
 def save_state(choice: EstimatorChoice, estimator: Estimator) -> bytes:
     """Return the estimator as it is now."""
-    return pickle.dumps((choice, estimator), protocol=4)
+    return json.dumps({"estimator": choice.as_text(), "state": state.save_state(estimator)}).encode()
 
 
-def load_state(octets: bytes) -> tuple[EstimatorChoice, Estimator]:
+def load_state(octets: bytes, interval_s: float) -> tuple[EstimatorChoice, Estimator]:
     """Return what `save_state` was given; it goes on from there.
+
+    Args:
+        octets: of `save_state`.
+        interval_s: between the readings of the file that follows: that of the whole run.
 
     Raises:
         RecordingError: these are not its bytes.
     """
     try:
-        choice, estimator = _Unpickler(io.BytesIO(octets)).load()
-    except (pickle.UnpicklingError, EOFError, AttributeError, ImportError, ValueError, TypeError) as error:
+        told = json.loads(octets)
+        name, options = read_parameters(told["estimator"])
+        choice = choose_estimator({"name": name, **options}, "it")
+        estimator = make_estimator(choice.name, choice.options, interval_s)
+        estimator.push(np.empty(0, READING))
+        state.load_state(estimator, told["state"])
+    except (ConfigError, KeyError, AttributeError, ValueError, TypeError, RecursionError) as error:
         raise RecordingError(f"an estimator's state is damaged: {error}; remove it to begin anew") from error
     return choice, estimator
 
 
-def digest(state: bytes | None) -> str:
+def digest(octets: bytes | None) -> str:
     """Return the SHA-256 of a state; "" for none."""
-    return sha256(state).hexdigest() if state is not None else ""
-
-
-class _Unpickler(pickle.Unpickler):
-    """Loads arrays and estimators, and nothing else."""
-
-    def find_class(self, module: str, name: str) -> Any:
-        allowed = name in _ALLOWED_BUILTINS if module == "builtins" else module.startswith(_ALLOWED)
-        if not allowed or "." in name:
-            raise pickle.UnpicklingError(f"it names {module}.{name}")
-        return super().find_class(module, name)
+    return sha256(octets).hexdigest() if octets is not None else ""

@@ -89,7 +89,7 @@ def _replay_file(task: Task) -> tuple[Entry, bytes | None]:
     with task.source.fetched() as path, open_readings(path, task.selection) as recording:
         description = recording.description
         if task.state is not None:
-            choice, estimator = load_state(task.state)
+            choice, estimator = load_state(task.state, description.interval_s)
             description = replace(description, state=state_as_text(estimator))  # the result replays alone, to the bit
         else:
             recorded = recorded_estimator(description, task.source.url)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import runstring
 
 from aemd.archive import ArchiveSummary, replay_archive
 from aemd.archive.places import Place
@@ -355,11 +356,45 @@ def test_a_manifest_that_is_none_is_one_line(tmp_path: Path) -> None:
         _archive(tmp_path)
 
 
-def test_a_state_names_estimators_and_arrays_and_nothing_that_could_be_called() -> None:
-    with pytest.raises(RecordingError, match=r"an estimator's state is damaged: it names posix\.getcwd"):
-        load_state(pickle.dumps(os.getcwd))
-    with pytest.raises(RecordingError, match="an estimator's state is damaged"):
-        load_state(b"\x80\x04nonsense")
+class _Called:
+    """What a pickle calls when it is read: a function of numpy that executes its text."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return runstring, (f"open({str(self.path)!r}, 'w')", {})
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_a_state_calls_nothing_when_it_is_read(tmp_path: Path, *, wrapped: bool) -> None:
+    called = tmp_path / "called"
+    octets = pickle.dumps((_Called(called), 1) if wrapped else _Called(called), protocol=4)
+
+    with pytest.raises(RecordingError, match=r"an estimator's state is damaged: .*; remove it to begin anew$"):
+        load_state(octets, 0.067)
+    assert not called.exists()
+
+
+@pytest.mark.parametrize(
+    "octets",
+    [
+        b"",
+        b"[" * 100_000,
+        b"[]",
+        b"null",
+        b'{"estimator": {}, "state": {}}',
+        b'{"estimator": {"name": "lms"}, "state": {}}',
+        b'{"estimator": {"name": "lms"}, "state": []}',
+        b'{"estimator": {"name": "nosuch"}, "state": {}}',
+        b'{"estimator": [], "state": {}}',
+        b'{"estimator": {"name": "lms", "mu": 1}, "state": {}}',
+        b"\xff\xfe",
+    ],
+)
+def test_a_state_that_is_none_is_one_line(octets: bytes) -> None:
+    with pytest.raises(RecordingError, match=r"^an estimator's state is damaged: [^\n]+; remove it to begin anew$"):
+        load_state(octets, 0.067)
 
 
 def test_a_file_in_the_place_of_the_folder_is_one_line(tmp_path: Path) -> None:
