@@ -11,12 +11,13 @@ from pathlib import Path
 
 from aemd.acquire.devices import SYSFS, list_usb
 
-__all__ = ["name_obstacle", "way_to"]
+__all__ = ["door_of", "name_obstacle", "way_to"]
 
 SCPI_PORT = 5025  # of a raw SCPI socket, by its entry in the IANA list
 TERMINALS = Path("/sys/class/tty")
 PSEUDO_TERMINALS = Path("/dev/pts")
-PORT_MAPPER = 111  # tells the port of VXI-11, where a resource does not
+PORT_MAPPER = "111"  # tells the port of VXI-11, where a resource does not
+HISLIP = "4880"  # by its entry in the IANA list
 
 
 def name_obstacle(resource: str, *, usb_tree: Path = SYSFS) -> str:
@@ -62,6 +63,28 @@ def way_to(resource: str, timeout_s: float, *, usb_tree: Path = SYSFS) -> str:
     return "write it as TCPIP0::HOST::5025::SOCKET, USB0::...::INSTR or ASRL/dev/ttyUSB0::INSTR; see `aemd devices`"
 
 
+def door_of(resource: str) -> tuple[str, str]:
+    """Return the host and the port at which pyvisa-py seeks a resource of the LAN, both as they are written.
+
+    VXI-11 has its port after the host, HiSLIP after the name of the device; what stands at the other place is not the
+    port: of `10.0.0.2::inst0,5025` the port mapper is asked.
+
+    >>> door_of("TCPIP0::10.0.0.2::hislip0::INSTR")
+    ('10.0.0.2', '4880')
+
+    Args:
+        resource: a VISA resource whose kind is TCPIP.
+    """
+    _, where, what = [*resource.split("::"), "", ""][:3]
+    host, _, port = where.partition(",")
+    if resource.upper().endswith("::SOCKET"):
+        return host, what
+    device, _, its_port = what.lower().partition(",")
+    if device.startswith("hislip"):
+        return host, its_port or HISLIP
+    return host, port or PORT_MAPPER
+
+
 def _serial_obstacle(path: Path) -> str:
     try:
         mode = path.stat().st_mode
@@ -102,13 +125,10 @@ def _usb_name(resource: str) -> tuple[int | str, ...]:
 
 
 def _way_to_host(resource: str, timeout_s: float) -> str:
-    fields = resource.split("::")
-    host, _, number = (fields[1] if len(fields) > 1 else "").partition(",")
-    is_socket = resource.upper().endswith("::SOCKET")
-    number = fields[2] if is_socket and len(fields) > 2 else number
-    if number and not (number.isascii() and number.isdigit() and 0 < int(number) < 1 << 16):
+    host, number = door_of(resource)
+    if not (number.isascii() and number.isdigit() and 0 < int(number) < 1 << 16):
         return f"write its port, {number!r}, as a number from 1 to 65535; the raw socket of a meter is at {SCPI_PORT}"
-    port = int(number) if number else PORT_MAPPER
+    port = int(number)
     try:
         socket.create_connection((host, port), timeout=timeout_s).close()
     except (socket.gaierror, UnicodeError):  # the second, where it cannot even be a name: 192.168..5
@@ -125,7 +145,9 @@ def _way_to_host(resource: str, timeout_s: float) -> str:
             f"{why} {host}: check the meter's power and network cable, and that the address is the one that its menu"
             " shows"
         )
-    what = "the raw socket of a meter, which is at port 5025" if is_socket else "a VXI-11 server"
+    what = "the raw socket of a meter, which is at port 5025"
+    if not resource.upper().endswith("::SOCKET"):
+        what = "a HiSLIP server" if "::HISLIP" in resource.upper() else "a VXI-11 server"
     return (
         f"{host} takes connections at port {port} and does not answer as an instrument does: check that this"
         f" is {what}; close other programs that use it, or switch it off and on to end theirs"

@@ -13,7 +13,8 @@ What was measured of pyvisa-py 0.8 and is guarded against here:
 - VXI-11 connects within 100 ms unless told otherwise. So the open timeout is always given.
 - A VXI-11 read subtracts the time so far once for each piece. So a block is asked for in one piece, and is small.
 - A VXI-11 link that cannot be made leaves its socket to the garbage collector, and takes 5 s to be given up where the
-  other end hangs up. So the socket is closed here, and the door is tried first (`agilent34410.knock`).
+  other end hangs up. So the socket is closed here, and the door is tried first (`agilent34410.knock`); the 5 s remain
+  where it takes the connection and hangs up later than 50 ms.
 - Closing a VXI-11 link to a dead peer blocks for 5 s. So a dead link's socket is shut before it is closed.
 - USB-TMC has no clear. So it is written out (`agilent34410.usbtmc`).
 - Without the socket option TCP_NODELAY, which has no VISA attribute that works, a question after a mere command waits

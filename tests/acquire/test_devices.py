@@ -60,10 +60,10 @@ def test_a_search_that_is_cut_short_says_so_and_hides_no_serial_port(
     ]
 
 
-def test_a_search_that_comes_to_its_end_says_nothing_of_itself(tmp_path: Path) -> None:
+def test_a_search_that_comes_to_its_end_does_not_say_that_it_was_cut_short(tmp_path: Path) -> None:
     found = list_devices(100.0, usb_tree=tmp_path)
 
-    assert not [device for device in found if device.found == SEARCH]
+    assert not [device for device in found if device.found == SEARCH and "not finished" in device.hint]
 
 
 @pytest.mark.parametrize(

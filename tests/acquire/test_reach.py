@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from aemd.acquire.reach import name_obstacle, way_to
+from aemd.acquire.reach import door_of, name_obstacle, way_to
 from aemd.errors import InstrumentError
+from agilent34410.knock import knock
 from agilent34410.link import open_link
 
 METER = "USB0::0x0957::0x0607::MY47006594::INSTR"
@@ -84,6 +85,39 @@ def test_a_host_is_unknown_or_without_the_port_or_does_not_answer() -> None:
     assert "TCPIP0::127.0.0.1::5025::SOCKET" in refused
     assert f"takes connections at port {silent_port}" in silent
     assert "a VXI-11 server" in silent_vxi
+
+
+@pytest.mark.parametrize(
+    ("resource", "door"),
+    [
+        ("TCPIP0::10.0.0.2::5025::SOCKET", ("10.0.0.2", "5025")),
+        ("TCPIP::10.0.0.2", ("10.0.0.2", "111")),
+        ("TCPIP0::10.0.0.2::INSTR", ("10.0.0.2", "111")),
+        ("TCPIP0::10.0.0.2,1024::inst0::INSTR", ("10.0.0.2", "1024")),
+        ("TCPIP0::10.0.0.2::inst0,5025::INSTR", ("10.0.0.2", "111")),
+        ("tcpip0::10.0.0.2::HiSLIP0::instr", ("10.0.0.2", "4880")),
+        ("TCPIP0::10.0.0.2::hislip0,4881::INSTR", ("10.0.0.2", "4881")),
+        ("TCPIP0::10.0.0.2::SOCKET", ("10.0.0.2", "SOCKET")),
+        ("TCPIP0::SOCKET", ("SOCKET", "")),
+        ("TCPIP0", ("", "111")),
+    ],
+)
+def test_the_door_is_the_one_at_which_pyvisa_py_seeks(resource: str, door: tuple[str, str]) -> None:
+    assert door_of(resource) == door
+
+
+def test_knock_and_advice_are_of_the_same_door() -> None:
+    with socket.socket() as door:
+        door.bind(("127.0.0.1", 0))  # nobody else's, and refused as long as nobody listens
+        port = door.getsockname()[1]
+        resource = f"TCPIP0::127.0.0.1::hislip0,{port}::INSTR"
+        with pytest.raises(ConnectionRefusedError):
+            knock(resource, 60.0)
+        assert f"127.0.0.1 is there and has nothing at port {port}" in way_to(resource, 60.0)
+        door.listen()
+        knock(resource, 60.0)
+        assert f"takes connections at port {port}" in (advice := way_to(resource, 60.0))
+    assert "a HiSLIP server" in advice
 
 
 def test_what_is_no_resource_is_shown_one() -> None:
