@@ -42,6 +42,7 @@ from aemd.record.turns import Seat, Turn, Turns, take_turns, turn_bytes
 __all__ = ["CHUNK_BYTES", "Recorder"]
 
 CHUNK_BYTES = 1 << 20  # larger gains nothing in size or speed, and a reader holds one in memory
+_PAUSE = 4  # between the end of a flush and the next one, at least this part of an interval
 
 
 class Recorder:
@@ -88,6 +89,8 @@ class Recorder:
         self._due_ns = 0
         self._flushed_ns: int | None = None
         """When all that had come was last taken to be written: whatever waits has come since."""
+        self._at_rest_ns = 0
+        """When that was written. A disk that takes longer than an interval would else be given every batch alone."""
         self._log_time_ns = 0
         self._counts = Counts(description.first_index)
         self._written = Counts(description.first_index)
@@ -183,7 +186,8 @@ class Recorder:
         if len(batch.readings) or len(estimates) or batch.events or batch.witnesses:
             if self._flush_interval_ns is not None and not self._waiting and not len(self._rows.start):
                 since_ns = self._clock() if self._flushed_ns is None else self._flushed_ns
-                self._due_ns = since_ns + self._flush_interval_ns
+                pause_ns = self._flush_interval_ns // _PAUSE
+                self._due_ns = max(since_ns + self._flush_interval_ns, self._at_rest_ns + pause_ns)
             if length := self._bytes_of(batch, estimates):
                 self._waiting.append((batch, estimates))
                 self._waiting_bytes += length
@@ -194,6 +198,8 @@ class Recorder:
             self._flushed_ns = now_ns
         if due or self._waiting_bytes + len(self._rows.octets) >= self._chunk_bytes:
             self._write_chunks(to_the_last=due)
+            if due:
+                self._at_rest_ns = self._clock()
 
     def close(
         self, reason: str = "stop", *, facts: Mapping[str, str] | None = None, clock: Mapping[str, str] | None = None

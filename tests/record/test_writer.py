@@ -186,6 +186,35 @@ def test_what_came_while_the_disk_was_slow_waits_no_longer_for_that(tmp_path: Pa
         assert recording.statistics().readings == 2
 
 
+def test_a_disk_that_takes_longer_than_the_interval_is_not_given_every_batch_alone(tmp_path: Path) -> None:
+    now_ns, syncing = 0, False
+
+    def clock() -> int:
+        nonlocal now_ns
+        now_ns += 1_500_000_000 if syncing else 0
+        return now_ns
+
+    recorder = Recorder(tmp_path / "r.mcap", DESCRIPTION, flush_interval_s=1.0, clock=clock)
+    readings = readings_of(11)
+    recorder.write(Batch(readings[:1]), NOTHING[1])
+    now_ns, syncing = 1_000_000_000, True  # a sync takes 1.5 s: it is looked at before and after
+    recorder.write(*NOTHING)
+    syncing = False
+    for number in range(1, 11):
+        now_ns += 10_000_000
+        recorder.write(Batch(readings[number : number + 1]), NOTHING[1])
+    now_ns += 250_000_000
+    recorder.write(*NOTHING)
+
+    before_close = recorder.written.readings
+    with recorder.close().open("rb") as file:
+        summary = make_reader(file).get_summary()
+
+    assert before_close == 11
+    assert summary is not None
+    assert len(summary.chunk_indexes) == 2
+
+
 def test_the_description_is_readable_before_the_first_reading(tmp_path: Path) -> None:
     Recorder(tmp_path / "r.mcap", DESCRIPTION)
 
