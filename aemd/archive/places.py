@@ -221,11 +221,16 @@ def _or_refuse(url: str, done: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise RecordingError(f"{url}: cannot be {done}: {(error.strerror or str(error)).lower()}") from error
+        raise RecordingError(f"{url}: cannot be {done}: {_said(error.strerror or error)}") from error
     except Exception as error:
         if "://" not in url or isinstance(error, AemdError):
             raise
-        raise RecordingError(f"{url}: cannot be {done}: {str(error).lower() or type(error).__name__}") from error
+        raise RecordingError(f"{url}: cannot be {done}: {_said(error)}") from error
+
+
+def _said(error: Exception | str) -> str:
+    """Return an error's text in one line, whatever a package put there; its type where there is none."""
+    return " ".join(str(error).split()).lower() or type(error).__name__
 
 
 def _system_of(url: str) -> tuple[Any, str]:
@@ -239,7 +244,7 @@ def _system_of(url: str) -> tuple[Any, str]:
         try:
             system, path = core.url_to_fs(url)
         except (ValueError, ImportError) as error:
-            raise UsageError(f"{url}: {str(error).splitlines()[0].lower()}") from error
+            raise UsageError(f"{url}: {_said(error)}") from error
     return system, str(path)
 
 

@@ -335,6 +335,37 @@ def test_what_a_scheme_refuses_is_one_line_whatever_its_package_raises(tmp_path:
 
 
 @pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (ValueError(), "ValueError"),
+        (ValueError("\n"), "ValueError"),
+        (ValueError("No\nhost\n"), "no host"),
+        (OSError("Connection\n  refused"), "connection refused"),
+        (OSError(5, "Timed\nout"), "timed out"),
+        (OSError(), "OSError"),
+        (RuntimeError("Two\nlines"), "two lines"),
+    ],
+)
+@pytest.mark.parametrize("refused", ["__init__", "glob"])
+def test_an_error_of_several_lines_or_none_is_one_line(
+    tmp_path: Path, error: Exception, said: str, refused: str
+) -> None:
+    fsspec = pytest.importorskip("fsspec")
+    memory = fsspec.get_filesystem_class("memory")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    own = {"protocol": "lines", "_strip_protocol": vars(fsspec.AbstractFileSystem)["_strip_protocol"]}
+    kind = type("Lines", (memory,), own | {refused: refuse})
+    fsspec.register_implementation("lines", kind, clobber=True)
+
+    with pytest.raises((RecordingError, UsageError)) as caught:
+        replay_archive("lines:///in/*.mcap", str(tmp_path / "out"))
+    assert re.fullmatch(rf"lines:///in/\*\.mcap: (cannot be \w+: )?{said}", str(caught.value))
+
+
+@pytest.mark.parametrize(
     ("pattern", "complaint"),
     [
         ("nothing-*.mcap", r"nothing-\*\.mcap: no such file; put the pattern in quotes"),
