@@ -22,7 +22,7 @@ from aemd.record.description import Description
 from aemd.record.source import Readings, Selection, open_readings, readings_told
 from aemd.record.writer import Recorder
 
-__all__ = ["ReplaySummary", "begin_with", "choose", "recording_to", "replay"]
+__all__ = ["ReplaySummary", "begin_with", "choose", "recorded_or_none", "recording_to", "replay"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,8 @@ def replay(
             raise RecordingError(
                 f"{path}: has no interval between readings, which an estimator needs; is it one reading?"
             )
-        recorded = recorded_estimator(description, str(path))
+        is_replaced = not check and (model is not None or estimator is not None)
+        recorded = recorded_or_none(description, str(path), is_replaced=is_replaced)
         choice = choose(recorded if model is None else load_estimator(model), estimator)
         comparison = _Comparison(recorded, choice, path) if check else None
         tally = Tally(description.first_index)
@@ -118,6 +119,20 @@ def choose(known: EstimatorChoice | None, named: str | None) -> EstimatorChoice:
         UsageError: no such estimator.
     """
     return known if known and named is None else name_estimator(named or "aem", known)
+
+
+def recorded_or_none(description: Description, place: str, *, is_replaced: bool) -> EstimatorChoice | None:
+    """Return the recorded estimator; None where there is none, or one that this version lacks and another replaces.
+
+    Raises:
+        RecordingError: it is damaged, or this version has no such estimator or option, and nothing replaces it.
+    """
+    try:
+        return recorded_estimator(description, place)
+    except RecordingError:
+        if not is_replaced:
+            raise
+        return None
 
 
 def begin_with(estimator: Estimator, description: Description, place: str) -> None:

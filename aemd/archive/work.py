@@ -19,14 +19,14 @@ from aemd.archive.manifest import FORM, Entry
 from aemd.archive.places import Place
 from aemd.archive.state import Carried, digest, load_state, save_state
 from aemd.block import READING
-from aemd.config import EstimatorChoice, recorded_estimator
+from aemd.config import EstimatorChoice
 from aemd.errors import InstrumentError, RecordingError
 from aemd.estimate.registry import make_estimator
 from aemd.estimate.state import save_state as state_as_text
 from aemd.pipeline import Tally, run
 from aemd.record.disk import NO_ROOM
 from aemd.record.source import Selection, open_readings
-from aemd.replay import begin_with, choose, recording_to
+from aemd.replay import begin_with, choose, recorded_or_none, recording_to
 
 __all__ = ["NoRoomError", "Task", "is_full", "replay_file", "workers"]
 
@@ -92,7 +92,8 @@ def _replay_file(task: Task) -> tuple[Entry, bytes | None]:
             choice, estimator = load_state(task.state, description.interval_s)
             description = replace(description, state=state_as_text(estimator))  # the result replays alone, to the bit
         else:
-            recorded = recorded_estimator(description, task.source.url)
+            is_replaced = task.model is not None or task.estimator is not None
+            recorded = recorded_or_none(description, task.source.url, is_replaced=is_replaced)
             choice = choose(task.model or recorded, task.estimator)
             if not description.interval_s > 0:
                 raise RecordingError(f"{task.source.url}: has no interval between readings, which an estimator needs")

@@ -12,7 +12,7 @@ from aemd.block import ESTIMATE, READING, Batch, Block, Status
 from aemd.config import EstimatorChoice, name_estimator
 from aemd.estimate.registry import make_estimator
 from aemd.estimate.state import copy_state, write_state
-from aemd.record.description import Description, write_parameters
+from aemd.record.description import Description, Scalar, write_parameters
 from aemd.record.reader import Recording
 from aemd.record.rollover import Rollover, Segment
 from aemd.record.writer import Recorder
@@ -31,14 +31,16 @@ def readings_of(count: int, seed: int = 1) -> Block:
     return np.delete(made, slice(count // 2, count // 2 + 7))
 
 
-def write(path: Path, readings: Block, *, session: str = "", estimator: str = "", first_index: int = 0) -> Path:
-    """Write a recording without estimates that says which estimator is its own."""
+def write(
+    path: Path, readings: Block, *, session: str = "", estimator: str = "", first_index: int = 0, **options: Scalar
+) -> Path:
+    """Write a recording without estimates that says which estimator is its own, with which options."""
     path.parent.mkdir(parents=True, exist_ok=True)
     description = Description(
         interval_s=INTERVAL_S,
         first_index=first_index,
         session={"id": session} if session else {},
-        estimator=write_parameters(estimator, {}) if estimator else {},
+        estimator=write_parameters(estimator, options) if estimator else {},
     )
     recorder = Recorder(path, description)
     recorder.write(Batch(readings), np.empty(0, ESTIMATE))

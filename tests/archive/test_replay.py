@@ -164,6 +164,28 @@ def test_results_of_an_earlier_form_are_made_again(tmp_path: Path) -> None:
     assert [(item.replayed, item.unchanged, item.failed) for item in done] == [(2, 0, ()), (0, 2, ())]
 
 
+@pytest.mark.parametrize(("name", "options"), [("kf", {}), ("rem", {"newer": 1})])
+def test_an_estimator_that_this_version_lacks_needs_another_in_its_place(
+    tmp_path: Path, name: str, options: dict[str, int]
+) -> None:
+    path = write(tmp_path / "in" / "a.mcap", readings_of(200), estimator=name, **options)
+    plain = write(tmp_path / "plain.mcap", readings_of(200))
+    model = _model(tmp_path / "m.toml", 'name = "rem"')
+    replay(plain, estimator="rem", out=tmp_path / "expected.mcap")
+
+    for number, asked in enumerate(({"estimator": "rem"}, {"model": model})):
+        out = tmp_path / f"{number}"
+        replay(path, out=tmp_path / f"{number}.mcap", **asked)
+        assert replay_archive(str(tmp_path / "in"), str(out), **asked).failed == ()
+        for made in (tmp_path / f"{number}.mcap", out / "a.mcap"):
+            assert estimates_in([made]).tobytes() == estimates_in([tmp_path / "expected.mcap"]).tobytes()
+        with pytest.raises(RecordingError, match=r"a\.mcap: .* name another by --estimator$"):
+            replay(path, check=True, **asked)
+    with pytest.raises(RecordingError, match=r"a\.mcap: .* name another by --estimator$"):
+        replay(path)
+    assert "name another by --estimator" in replay_archive(str(tmp_path / "in"), str(tmp_path / "none")).failed[0]
+
+
 def test_another_topic_is_another_result(tmp_path: Path) -> None:
     write(tmp_path / "in" / "a.mcap", readings_of(300), estimator="kalman")
     (tmp_path / "two").mkdir()
