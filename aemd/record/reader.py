@@ -225,9 +225,7 @@ class Recording:
                     schema = self._parse(Schema, record)
                     schemas.setdefault(schema.id, schema)  # the summary's is a copy
                 case Opcode.CHANNEL:
-                    channel = self._parse(Channel, record)
-                    if channel.id not in {known.id for known in self.channels.values()}:
-                        self.channels[channel.topic] = channel
+                    self._enter(self._parse(Channel, record))
                 case Opcode.METADATA:
                     metadata = self._parse(Metadata, record)
                     self.metadata.setdefault(metadata.name, {}).update(metadata.metadata)
@@ -246,6 +244,18 @@ class Recording:
                 f"{self.path}: has no topic {RAW} of {SCHEMAS[RAW]}, which we need; its topics: {topics}"
             )
         return dict(self._kind_of(topic, schemas) for topic in self.channels if is_ours(topic))
+
+    def _enter(self, channel: Channel) -> None:
+        """Take in a channel; of several on a topic that is not ours, and of which we read nothing, the last."""
+        if channel.id in {known.id for known in self.channels.values()}:
+            return  # the summary's is a copy
+        first = self.channels.get(channel.topic)
+        if first is not None and is_ours(channel.topic):
+            raise RecordingError(
+                f"{self.path}: has two channels on {channel.topic}, {first.id} and {channel.id}, as where files were "
+                f"merged; we read those with one; `aemd replay --topic {RAW} --field value` takes the readings of all"
+            )
+        self.channels[channel.topic] = channel
 
     def _kind_of(self, topic: str, schemas: Mapping[int, Schema]) -> tuple[int, MessageKind]:
         channel = self.channels[topic]

@@ -1,5 +1,5 @@
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from aemd.errors import RecordingError
 from aemd.record.description import Description
 from aemd.record.reader import Recording
 from aemd.record.schema import SCHEMA_DATA
+from aemd.record.source import Selection, open_readings
 from aemd.record.writer import Recorder
 from tests.record.made import DESCRIPTION, STEP_NS, T0_NS, estimates_of, eventful_batch, readings_of, records_of
 
@@ -321,6 +322,50 @@ def test_a_foreign_recording_is_refused_in_one_line(tmp_path: Path, made: tuple,
     with pytest.raises(RecordingError, match=complaint) as refused:
         _all(path)
     assert "\n" not in str(refused.value)
+
+
+def _merged(recordings: Sequence[Path], target: Path) -> Path:
+    """Copy the readings of recordings, each with a channel of its own, as a merge does, behind two of others."""
+    with target.open("wb") as out:
+        writer = Writer(out)
+        writer.start()
+        for origin in ("left", "right"):
+            writer.register_channel("/imu", "json", 0, {"from": origin})
+        schema = writer.register_schema("aemd.v1.Reading", "protobuf", SCHEMA_DATA)
+        for path in recordings:
+            channel = writer.register_channel("/dmm/raw", "protobuf", schema, {"from": path.name})
+            with path.open("rb") as file:
+                for message in StreamReader(file).records:
+                    if isinstance(message, Message):
+                        writer.add_message(
+                            channel, message.log_time, message.data, message.publish_time, message.sequence
+                        )
+        writer.finish()
+    return target
+
+
+def test_two_channels_of_readings_are_refused_with_a_way_to_read_both(
+    record: Callable[..., Path], tmp_path: Path
+) -> None:
+    readings = readings_of(100)
+    halves = {"a.mcap": readings[:50], "b.mcap": readings[50:]}
+    path = _merged(
+        [record([(Batch(half), NO_ESTIMATES)], name=name) for name, half in halves.items()], tmp_path / "both.mcap"
+    )
+
+    with pytest.raises(RecordingError, match=r"two channels on /dmm/raw, 3 and 4, .* --topic /dmm/raw --field value"):
+        Recording(path)
+    with open_readings(path, Selection("/dmm/raw", "value")) as recording:
+        taken = np.concatenate([batch.readings for batch in recording.batches()])
+    assert taken["value_V"].tobytes() == readings["value_V"].tobytes()
+    assert taken["t_ns"].tobytes() == readings["t_ns"].tobytes()
+
+
+def test_two_channels_on_a_topic_of_another_program_do_no_harm(record: Callable[..., Path], tmp_path: Path) -> None:
+    readings = readings_of(100)
+    path = _merged([record([(Batch(readings), NO_ESTIMATES)])], tmp_path / "other.mcap")
+
+    assert _all(path)[1].tobytes() == readings.tobytes()
 
 
 def test_compression_and_layout_that_we_do_not_read_are_refused_in_one_line(tmp_path: Path) -> None:
