@@ -7,7 +7,9 @@ driver may answer by a function `characterise` (see `agilent34410.characterise`)
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import inf, nan
 from pathlib import Path
+from threading import Timer
 
 import numpy as np
 
@@ -26,7 +28,7 @@ TIMEOUT_S = 2.0  # where a driver's options name none
 COMMAS = 3  # at least, in an answer to *IDN? (IEEE 488.2, 10.14)
 LEAST_READINGS = 30
 MEASURED_S = 3.0
-LONGEST_S = 60.0
+LONGEST_S = 60.0  # of measuring, whatever the interval
 MOST_RATE = 300e-6  # two crystals within 100 ppm each, and what three seconds leave in doubt
 
 
@@ -146,10 +148,23 @@ def _measure(instrument: Instrument, config: Config) -> list[Check]:
     wanted = max(1, min(wanted, round(LONGEST_S / instrument.interval_s)))
     begun_s = time.monotonic()
     with Acquisition(instrument, most_readings=wanted, give_up_s=5.0) as acquisition:
-        batches = list(acquisition.batches())
+        # A meter that takes none is only known to after some intervals, each of which may be an hour.
+        bound = Timer(LONGEST_S, acquisition.stop)
+        bound.daemon = True
+        bound.start()
+        try:
+            batches = list(acquisition.batches())
+        finally:
+            bound.cancel()
     took_s = time.monotonic() - begun_s
     block = np.concatenate([np.empty(0, READING), *(batch.readings for batch in batches)])
     events = [event for batch in batches for event in batch.events]
+    if not block.size:
+        advice = "look at its display: it may wait for a trigger; an interval_s below a minute is known sooner"
+        return [
+            *_queue(events),
+            Check("readings", ok=False, found=f"none within {took_s:.2f} s", advice=advice),
+        ]
     return [
         *_queue(events),
         *_timing(instrument.interval_s, config, acquisition.clock_facts(), block, took_s),
@@ -160,7 +175,16 @@ def _measure(instrument: Instrument, config: Config) -> list[Check]:
 def _line_frequency(settings: Mapping[str, str]) -> list[Check]:
     if "SYST:LFR?" not in settings:
         return []
-    found_hz = float(settings["SYST:LFR?"])
+    answer = settings["SYST:LFR?"]
+    try:
+        found_hz = float(answer)
+    except ValueError:
+        found_hz = nan
+    if not 0 < found_hz < inf:
+        advice = "switch the meter off and on, which has it measure the line frequency anew"
+        return [
+            Check("line frequency", ok=False, found=f"the answer {answer!r} is not a number above 0", advice=advice)
+        ]
     return [Check("line frequency", ok=True, found=f"{found_hz:g} Hz, as the meter found it when it was switched on")]
 
 

@@ -3,12 +3,15 @@
 import json
 from contextlib import closing
 from pathlib import Path
+from typing import ClassVar
 
+import numpy as np
 import pytest
 
 import agilent34410
+from aemd import doctor
 from aemd.acquire.acquisition import Acquisition
-from aemd.acquire.instrument import host_ns
+from aemd.acquire.instrument import Drain, host_ns
 from aemd.config import load_config
 from aemd.session import simulated
 from tests.cli.asking import Run, refused
@@ -121,6 +124,43 @@ def test_a_meter_that_a_dead_program_left_sampling_is_taken_over(aemd: Run, tmp_
         code, out, err = aemd("doctor", config, "--json")
 
     assert code == 0, (out, err)
+
+
+class Idle:
+    """An instrument of one reading an hour that takes none."""
+
+    identity: ClassVar[dict[str, str]] = {}
+    settings: ClassVar[dict[str, str]] = {}
+    interval_s = 3600.0
+    sample_delay_s = 0.0
+    epoch_readings = 0
+    memory_readings = 1000
+
+    def start(self) -> None: ...
+
+    def drain(self, most: int) -> Drain:
+        now_ns = host_ns()
+        return Drain(np.empty(0), np.empty(0, np.uint32), 0, now_ns, now_ns, now_ns)
+
+    def stop(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def test_the_measurement_has_an_end_where_no_reading_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "LONGEST_S", 0.1)
+    found = {check.name: check for check in doctor._measure(Idle(), load_config(None))}
+
+    assert not found["readings"].ok
+    assert found["readings"].found.startswith("none within ")
+
+
+@pytest.mark.parametrize("answer", ["junk", "", "nan", "1e400", "-50"])
+def test_a_line_frequency_that_is_none_is_found(answer: str) -> None:
+    (check,) = doctor._line_frequency({"SYST:LFR?": answer})
+
+    assert not check.ok
+    assert repr(answer) in check.found
 
 
 def test_an_overload_is_found(aemd: Run, tmp_path: Path) -> None:
