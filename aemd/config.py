@@ -77,8 +77,8 @@ class RecordingOptions:
     directory: str = "."
     """Folder of the recordings; made when it is not there."""
     flush_interval_s: Annotated[float, Gt(0), Le(3600)] = 1.0
-    """Time between two flushes to the disk, s: a kill loses this much, and a quarter second that was on its way, at most,
-    where the disk is quick. Shorter makes larger files."""
+    """Time between two flushes to the disk, s; shorter makes larger files. A kill loses this much at most, and a
+    quarter second that was on its way."""
     chunk_bytes: Annotated[int, Ge(4096)] = 1 << 20
     """A chunk is closed at this size even before the interval is over."""
     compression: Literal["zstd", "none"] = "zstd"

@@ -22,7 +22,7 @@ from aemd.estimate.registry import make_estimator
 from aemd.estimate.state import copy_state
 from aemd.files import open_files, recovering
 from aemd.live.feed import About
-from aemd.live.health import Sources
+from aemd.live.health import Health, Sources
 from aemd.live.view import View
 from aemd.pipeline import Sink, Tally, run
 from aemd.record.background import Background
@@ -143,7 +143,11 @@ def acquire(
         try:
             with (
                 acquisition,
-                watched(notifier, lambda: _pulse(acquisition, recorder), lambda: _status(tally, rollover, folder)),
+                watched(
+                    notifier,
+                    lambda: _pulse(acquisition, recorder),
+                    _Status(tally, rollover, folder, instrument.interval_s),
+                ),
                 stop.passing_on_to(acquisition),
                 showing(tally, config.scale, console, time.monotonic_ns) as progress,
                 _shown(views, _about(config, instrument), sources, console),
@@ -182,15 +186,28 @@ def _pulse(acquisition: Acquisition, recorder: Background) -> Pulse:
     return Pulse(acquisition.turns, counts.delivered, counts.in_flight, recorder.turns)
 
 
-def _status(tally: Tally, rollover: Rollover, folder: Path) -> str:
-    """Return what `systemctl status` shows; a folder that is gone is a trouble of the recording's, not of this."""
-    try:
-        disk = f"disk {shutil.disk_usage(folder).free * 1e-9:.0f} GB"
-    except OSError as error:
-        disk = f"disk: {(error.strerror or str(error)).lower()}"
-    lost = f"lost {tally.counts.lost}  not written {rollover.not_written}"
-    stopped = f"NOT RECORDING: {rollover.trouble}  " if rollover.trouble else ""
-    return f"{stopped}{tally.rate_hz:.2f}/s  {tally.counts.readings} readings  {lost}  {disk}"
+class _Status:
+    """What `systemctl status` shows; a folder that is gone is a trouble of the recording's, not of this."""
+
+    def __init__(self, tally: Tally, rollover: Rollover, folder: Path, interval_s: float) -> None:
+        self._tally = tally
+        self._rollover = rollover
+        self._folder = folder
+        self._health = Health(interval_s, time.monotonic_ns())
+
+    def __call__(self) -> str:
+        """Return it; what is wrong comes first."""
+        counts, now_ns = self._tally.counts, time.monotonic_ns()
+        self._health.see(counts.readings, 0, now_ns, 0)
+        try:
+            disk = f"disk {shutil.disk_usage(self._folder).free * 1e-9:.0f} GB"
+        except OSError as error:
+            disk = f"disk: {(error.strerror or str(error)).lower()}"
+        lost = f"lost {counts.lost}  not written {self._rollover.not_written}"
+        stopped = f"NOT RECORDING: {self._rollover.trouble}  " if self._rollover.trouble else ""
+        silent = self._health.complaint(now_ns).replace("acquisition: no", "NO", 1)
+        rate = silent or f"{self._tally.rate_hz:.2f}/s"
+        return f"{stopped}{rate}  {counts.readings} readings  {lost}  {disk}"
 
 
 @contextmanager

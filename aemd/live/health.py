@@ -14,7 +14,8 @@ PATIENCE_S = 5.0
 PATIENCE_INTERVALS = 5
 """Without a reading, however long an interval is; without progress in writing."""
 RATE_S = 10.0
-"""Over which the rate is taken."""
+RATE_INTERVALS = 3
+"""Over which the rate is taken, at least."""
 QUIET_S = 1.0
 """And PATIENCE_INTERVALS: where no reading comes for longer, that time counts, too."""
 
@@ -68,6 +69,7 @@ class Health:
         self._came = self._written = 0
         self._came_ns = self._written_ns = now_ns
         self._waiting = 0
+        self._span_ns = round(max(RATE_S, RATE_INTERVALS * interval_s) * 1e9)
         self._quiet_ns = round(max(QUIET_S, PATIENCE_INTERVALS * interval_s) * 1e9)
         self._seen: deque[tuple[int, int, int]] = deque([(now_ns, 0, 0)])
 
@@ -82,7 +84,7 @@ class Health:
         if not self._seen[-1][1]:  # nothing had come: the rate is that since the first did
             self._seen.clear()
         self._seen.append((now_ns, came, newest_ns))
-        while len(self._seen) > 2 and now_ns - self._seen[1][0] >= RATE_S * 1e9:
+        while len(self._seen) > 2 and now_ns - self._seen[1][0] >= self._span_ns:
             self._seen.popleft()
 
     @property

@@ -23,7 +23,12 @@ METRICS = (
     _Metric("aemd_not_written_readings_total", "counter", "Readings that came and are in no file.", ("not_written",)),
     _Metric("aemd_gaps_total", "counter", "Places where readings are missing.", ("gaps",)),
     _Metric("aemd_overloads_total", "counter", "Readings beyond the meter's range.", ("overloads",)),
-    _Metric("aemd_readings_per_second", "gauge", "Rate over the last ten seconds.", ("rate_hz",)),
+    _Metric(
+        "aemd_readings_per_second",
+        "gauge",
+        "Readings per second of the last seconds, by their own instants.",
+        ("rate_hz",),
+    ),
     _Metric("aemd_interval_seconds", "gauge", "Time between readings, as the meter has it.", ("interval_s",)),
     _Metric("aemd_unwritten_readings", "gauge", "Readings that wait to be written.", ("unwritten",)),
     _Metric("aemd_recording_bytes", "gauge", "Length of the recording's present file.", ("file_bytes",)),

@@ -88,7 +88,7 @@ def recover_folder(folder: Path) -> Iterator[str]:
     One that was begun and got no reading is removed: it would be told of at every start, for ever.
     """
     for path in sorted(folder.glob(f"*.mcap{_ACTIVE}")):
-        if _is_being_written(path):
+        if path.is_fifo() or _is_being_written(path):  # a pipe would be waited for without end
             continue
         try:
             if _remove_unused(path):

@@ -267,3 +267,14 @@ def test_the_rate_is_that_of_the_readings_own_instants_since_they_come_and_falls
 
     assert rate_hz == pytest.approx(1 / 0.07)
     assert 0 < health.rate_hz < 0.6 / 0.07
+
+
+def test_the_rate_of_a_reading_a_minute_is_that_at_every_look() -> None:
+    health = Health(60.0, now_ns=0)
+    rates = []
+    for second in range(600):
+        came = second // 60
+        health.see(came, waiting=0, now_ns=second * 10**9, newest_ns=came * 60 * 10**9)
+        rates.append(health.rate_hz)
+
+    assert rates[200:] == pytest.approx([1 / 60] * 400)

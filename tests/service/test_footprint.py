@@ -19,10 +19,11 @@ from aemd.live.options import LiveOptions
 from aemd.live.view import Page
 
 def look():
-    with urllib.request.urlopen(page.url + "stream?span_s=60&columns=1300", timeout=10) as stream:
-        while stream.readline():
-            pass
+    with urllib.request.urlopen(page.url + "stream?span_s=60&columns=1300", timeout=60) as stream:
+        while line := stream.readline():
+            seen.append(line[:5])
 
+seen = []
 page = Page(Address(port=0), LiveOptions())
 threading.Thread(target=look, daemon=True).start()
 found = session.acquire(
@@ -30,7 +31,7 @@ found = session.acquire(
 )
 heavy = [name for name in ("numba", "llvmlite", "scipy", "matplotlib", "pandas", "plotly") if name in sys.modules]
 most_kB = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())[1]
-print(json.dumps([found.readings, heavy, int(most_kB) / 1024]))
+print(json.dumps([found.readings, heavy, int(most_kB) / 1024, b"data:" in seen]))
 """
 
 
@@ -43,8 +44,9 @@ def test_an_acquisition_at_fifteen_a_second_takes_no_compiler_and_less_than_150_
         command = [sys.executable, "-c", ACQUIRE, str(config), str(tmp_path)]
         printed = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
 
-    readings, heavy, most_MB = json.loads(printed)
+    readings, heavy, most_MB, is_looked_at = json.loads(printed)
 
+    assert is_looked_at
     assert readings == 30
     assert heavy == []
     assert most_MB < 150
