@@ -7,10 +7,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
 
 from aemd.block import Batch
 from aemd.errors import RecordingError
 from aemd.record.check import check
+from aemd.record.description import Description
+from aemd.record.schema import SCHEMA_DATA
 from tests.record.made import estimates_of, readings_of, records_of
 
 
@@ -100,6 +105,28 @@ def test_a_summary_that_is_wrong_with_a_right_checksum_is_found(
     bad.write_bytes(octets)
 
     assert re.search(finding, "; ".join(check(bad).findings))
+
+
+def test_a_file_of_the_reference_writer_is_as_whole_as_ours_but_for_the_closing_note(
+    record: Callable[..., Path], tmp_path: Path
+) -> None:
+    """It writes a summary offset of length 0 for each group that is empty, as attachments are here."""
+    path = tmp_path / "other.mcap"
+    with record([(Batch(readings_of(20)), estimates_of(readings_of(0)))], Description()).open("rb") as file:
+        messages = [message for message in StreamReader(file).records if isinstance(message, Message)]
+    with path.open("wb") as out:
+        writer = Writer(out)
+        writer.start()
+        channel = writer.register_channel(
+            "/dmm/raw", "protobuf", writer.register_schema("aemd.v1.Reading", "protobuf", SCHEMA_DATA)
+        )
+        for message in messages:
+            writer.add_message(channel, message.log_time, message.data, message.publish_time, message.sequence)
+        writer.finish()
+
+    offsets = [body for opcode, _, body in records_of(path.read_bytes()) if opcode == 0x0E]
+    assert any(body.endswith(bytes(8)) for body in offsets)
+    assert check(path).findings == ("it has no closing note: the program that made it did not finish it",)
 
 
 def test_bytes_behind_the_end_are_found_even_if_they_are_another_recording(
