@@ -143,10 +143,10 @@ def test_what_looks_like_marks_of_the_table_is_shown_as_it_is(
     monkeypatch.setenv("COLUMNS", "300")
     with talking(b"Agilent Technologies,[/red]34410A,:dog:,[bold]2.35\n") as resource:
         _, host, port, _ = resource.split("::")
-        code, out, err = aemd("devices", "--timeout", 10, "--host", f"{host}:{port}", "--host", "[/x]")
+        code, out, err = aemd("devices", "--timeout", 60, "--host", f"{host}:{port}", "--host", "[/x]:y")
         assert code == 0, err
         assert "Agilent Technologies,[/red]34410A,:dog:,[bold]2.35" in out
-        assert "[/x]" in out
+        assert "[/x]:y" in out
 
         code, out, err = aemd("doctor", "--resource", resource)
         assert code == 1, err
