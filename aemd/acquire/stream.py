@@ -22,6 +22,7 @@ from aemd.acquire.cadence import Cadence
 from aemd.acquire.clock import DeviceClock
 from aemd.acquire.instrument import BusyError, Clock, Drain, Instrument, Recoverable
 from aemd.acquire.ledger import Ledger
+from aemd.acquire.wall_clock import WallClock
 from aemd.block import READING, Block, Event
 from aemd.errors import InstrumentError
 
@@ -35,9 +36,12 @@ SHORTEST_PAUSE_S = 0.05  # after the second attempt to recover, doubled with eac
 LONGEST_PAUSE_S = 5.0  # an instrument that is back is found within this
 GROWTH_INTERVALS = 2.5  # a reading comes within these, if it comes
 LONGEST_GROWTH_S = 2.0
-LAST_ATTEMPTS = 4  # to recover a link that fails during the stop: one for each rung, and one
-UTC_EVERY_NS = 1_000_000_000
-UTC_STEP_NS = 20_000_000  # what happens between reading two clocks is less, else they are read again
+LAST_ATTEMPTS = 4  # to recover a link that is lost at the stop: one for each rung, and one
+LAST_NS = 10_000_000_000  # after it no attempt begins: whoever told it to stop waits
+STOPPED = "the instrument had stopped"
+SETTINGS_LOST = "the instrument had lost its settings"
+TAKEN_OVER = "another program had taken the instrument over"
+TORN = "they left the instrument's memory and never arrived whole"
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +90,8 @@ class Stream:
         """Looks and attempts so far; while this grows the instrument is attended to."""
         self.outages = 0
         """How often the link was lost."""
-        self.utc_offset_ns = utc() - clock()
+        self._wall_clock = WallClock(clock, utc)
+        self.utc_offset_ns = self._wall_clock.offset_ns
         """UTC minus host monotonic, taken once."""
         self.fit = DeviceClock(instrument.interval_s, instrument.sample_delay_s, instrument.epoch_readings)
         self.ledger = Ledger(self.fit, self.utc_offset_ns, instrument.epoch_readings, instrument.memory_readings)
@@ -98,9 +103,6 @@ class Stream:
         self._cadence = Cadence(self.fit, instrument.interval_s, instrument.epoch_readings, poll_s)
         self._give_up_s = give_up_s
         self._clock = clock
-        self._utc = utc
-        self._utc_seen_ns = self.utc_offset_ns
-        self._utc_due_ns = 0
         self._taken = 0
         self._left = 0
         self._next_look_ns = 0
@@ -110,6 +112,9 @@ class Stream:
         self._told_to_stop = False
         self._sampling = False
         self._is_lost = False
+        self._lost_ns = 0
+        self._last_attempts = LAST_ATTEMPTS
+        self._told_of: set[type[InstrumentError]] = set()
         self._is_probing = False
 
     def deliveries(self) -> Iterator[Delivery]:
@@ -171,7 +176,7 @@ class Stream:
             self._newest_ns = drain.answered_ns
             self._fresh_starts = 0 if block.size else self._fresh_starts
         self._refuse_silence(drain)
-        events += self._utc_news(drain.received_ns)
+        events += tuple(self._event("clock", message) for message in self._wall_clock.news(drain.received_ns))
         return Delivery(block, events, drain.received_ns) if block.size or events else None
 
     def _recount(self, drain: Drain) -> Drain | None:
@@ -192,25 +197,6 @@ class Stream:
                 f" {self._instrument.interval_s:g} s; look at its display"
             )
 
-    def _utc_news(self, now_ns: int) -> tuple[Event, ...]:
-        """Tell of a wall clock that was set."""
-        if now_ns < self._utc_due_ns:
-            return ()
-        before_ns, utc_ns, after_ns = self._clock(), self._utc(), self._clock()
-        if after_ns - before_ns > UTC_STEP_NS // 2:  # we were put to sleep in between
-            return ()
-        self._utc_due_ns = now_ns + UTC_EVERY_NS
-        offset_ns = utc_ns - before_ns
-        step_ns, self._utc_seen_ns = offset_ns - self._utc_seen_ns, offset_ns
-        if abs(step_ns) < UTC_STEP_NS:
-            return ()
-        ahead_s = (offset_ns - self.utc_offset_ns) * 1e-9
-        message = (
-            f"the host's wall clock was set by {step_ns * 1e-9:+.3f} s; stamps go on by the monotonic clock and the"
-            f" UTC of the start, and it is {ahead_s:+.3f} s ahead of them now"
-        )
-        return (self._event("clock", message),)
-
     # -- coming back -------------------------------------------------------------------------------------------------
 
     def _come_back(self, error: InstrumentError) -> Iterator[Delivery]:
@@ -227,26 +213,28 @@ class Stream:
         self.outages += 1
         self._is_probing = True
         began_ns = self._clock()
-        told = {InstrumentError, type(error)}
+        self._told_of = {InstrumentError, type(error)}
         yield self._told("link", f"{'silent' if is_silent else 'lost'}: {error}")
         pause_s = 0.0
         while not (self._told_to_stop or self._wait(pause_s)):
             self.turns += 1
+            self._last_attempts = max(1, self._last_attempts - 1)  # what was long lost is looked for once
             try:
-                yield from self._resume(instrument, began_ns, afresh=is_silent, was_busy=BusyError in told)
+                yield from self._resume(instrument, began_ns, afresh=is_silent, was_busy=BusyError in self._told_of)
             except InstrumentError as latest:
-                if type(latest) not in told:  # another instrument, another program: somebody must see to it
-                    told.add(type(latest))
+                if type(latest) not in self._told_of:  # another instrument, another program: somebody must see to it
+                    self._told_of.add(type(latest))
                     yield self._told("link", f"lost: {latest}")
                 error = latest
             else:
+                self._told_of, self._last_attempts = set(), LAST_ATTEMPTS
                 return
             away_s = (self._clock() - began_ns) * 1e-9
             if self._give_up_s is not None and away_s > self._give_up_s:
                 yield from self._miss("the link was down")
                 raise InstrumentError(f"{error}; gave up after {away_s:.3g} s without it")
             pause_s = min(max(2 * pause_s, SHORTEST_PAUSE_S), LONGEST_PAUSE_S)
-        self._told_to_stop = self._is_lost = True
+        self._told_to_stop, self._is_lost, self._lost_ns = True, True, began_ns
 
     def _resume(self, instrument: Recoverable, began_ns: int, *, afresh: bool, was_busy: bool) -> Iterator[Delivery]:
         """Make one attempt to go on where the link was lost.
@@ -256,14 +244,14 @@ class Stream:
         """
         asked_ns = self._clock()
         recovery = instrument.recover(afresh=afresh)
-        torn = self.ledger.tear(recovery.torn, "they left the instrument's memory and never arrived whole")
+        torn = self.ledger.tear(recovery.torn, TORN)
         if torn:
             yield self._delivery(torn)
-        why = "the instrument had lost its settings"
+        why = SETTINGS_LOST
         if was_busy:
-            why = "another program had taken the instrument over"
+            why = TAKEN_OVER
         elif afresh or recovery.settings_kept:
-            why = "the instrument had stopped"
+            why = STOPPED
         is_going = recovery.sampling
         if not is_going and not self._half_started:
             self._sampling = False
@@ -305,26 +293,66 @@ class Stream:
     # -- the end -----------------------------------------------------------------------------------------------------
 
     def _end(self) -> Iterator[Delivery]:
-        """Stop the instrument and take what it holds; with a link that is lost, count what is missing."""
-        if self._is_lost:
-            yield from self._miss("told to stop while the link was down")
-            return
-        asked_ns = self._clock()
-        for _ in range(LAST_ATTEMPTS):
+        """Stop the instrument and take what it holds; with a link that stays lost, count what is missing."""
+        instrument, asked_ns = self._instrument, self._clock()
+        until_ns = asked_ns + LAST_NS
+        why = "told to stop while the link was down" if self._is_lost else "the link went down during the stop"
+        left = 0 if self._half_started else self._last_attempts  # what is in the memory may be either run's
+        while left > 0 and self._clock() < until_ns:
+            self.turns += 1
             try:
+                if self._is_lost and isinstance(instrument, Recoverable):
+                    left -= 1
+                    sampled_ns = yield from self._find_again(instrument, asked_ns)
+                    if sampled_ns is None:
+                        return
+                    asked_ns = sampled_ns
                 yield from self._stop(asked_ns)
             except InstrumentError as error:
-                if not isinstance(self._instrument, Recoverable):
+                if not isinstance(instrument, Recoverable):
                     raise
-                yield self._told("link", f"lost: {error}")
+                self._is_probing = True
+                if not self._is_lost:
+                    self._is_lost, self._lost_ns = True, self._clock()
+                    until_ns = self._lost_ns + LAST_NS
+                if type(error) not in self._told_of:
+                    self._told_of.add(type(error))
+                    yield self._told("link", f"lost: {error}")
+                if isinstance(error, BusyError):
+                    why = TAKEN_OVER
+                    break
             else:
                 return
-            try:
-                torn = self.ledger.tear(self._instrument.recover().torn, "they left the memory and never arrived whole")
-            except InstrumentError:
-                continue
+        yield from self._miss(why)
+
+    def _find_again(self, instrument: Recoverable, asked_ns: int) -> Generator[Delivery, None, int | None]:
+        """Make one attempt to reach a lost instrument that is to be stopped.
+
+        Returns:
+            Until when it sampled, at least, if it did until it was told to stop; None if nothing it holds is ours.
+
+        Raises:
+            InstrumentError: it failed.
+        """
+        began_ns = self._clock()
+        recovery = instrument.recover()
+        torn = self.ledger.tear(recovery.torn, TORN)
+        if torn:
             yield self._delivery(torn)
-        yield from self._miss("the link went down during the stop")
+        if not recovery.settings_kept:
+            why = TAKEN_OVER if BusyError in self._told_of else SETTINGS_LOST
+            yield from self._miss(why, asked_ns)
+            return None
+        self._sampling = recovery.sampling
+        if recovery.sampling:
+            asked_ns, self._newest_ns = began_ns, self._clock()
+            self.ledger.go_on()  # the look that follows tells how its clock has run since
+        else:
+            self.ledger.end(asked_ns, self._clock())
+        yield from self._back(self._lost_ns, recovery.how)
+        self._is_lost = False
+        self._told_of.clear()
+        return asked_ns
 
     def _stop(self, asked_ns: int) -> Iterator[Delivery]:
         """Stop the instrument, which was to sample until `asked_ns` at least, and take what it holds.
@@ -338,7 +366,7 @@ class Stream:
         self.ledger.end(asked_ns, ended_ns)
         yield from self._take_rest()
         if not self._left and self._missing() > 0 and self.ledger.is_short(asked_ns, ended_ns):
-            yield self._delivery(self.ledger.miss(asked_ns, ended_ns, "the instrument had stopped"))
+            yield self._delivery(self.ledger.miss(asked_ns, ended_ns, STOPPED))
 
     def _take_rest(self) -> Iterator[Delivery]:
         """Take what is in the memory of an instrument that has stopped."""
@@ -353,10 +381,10 @@ class Stream:
             else:
                 self._told_to_stop |= self._wait(self._cadence.poll_s)
 
-    def _miss(self, why: str) -> Iterator[Delivery]:
+    def _miss(self, why: str, since_ns: int | None = None) -> Iterator[Delivery]:
         if self._missing() > 0:
             now_ns = self._clock()
-            yield self._delivery(self.ledger.miss(now_ns, now_ns, why))
+            yield self._delivery(self.ledger.miss(now_ns if since_ns is None else since_ns, now_ns, why))
 
     # ----------------------------------------------------------------------------------------------------------------
 

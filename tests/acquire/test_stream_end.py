@@ -4,11 +4,17 @@ import re
 
 import pytest
 
+from aemd.acquire.instrument import Instrument, Recoverable
+from aemd.acquire.stream import Stream
 from agilent34410 import Options
-from sim34410.bench import Link
+from agilent34410.meter import open_instrument
+from sim34410 import Meter, MeterProperties
+from sim34410.bench import Bench, Link
+from sim34410.clock import SteppedClock
 from sim34410.faults import Fault, Kind
+from sim34410.simulated_link import SimulatedLink
 from tests.storm.judge import judge
-from tests.storm.weather import Passed, pass_through
+from tests.storm.weather import Passed, Slope, pass_through
 
 FAST = Options(interval_s=1e-4, aperture_s=1e-4, autozero="off", trigger_delay_s=0.0, display=False)
 LINKS = ("socket", "vxi11", "usb")
@@ -59,3 +65,69 @@ def test_a_stop_at_whatever_phase_of_the_interval_makes_no_gap(link: Link, optio
 
         assert passed.gaps == []
         assert judge(passed).breaches == 0
+
+
+@pytest.mark.parametrize("link", LINKS)
+@pytest.mark.parametrize("kind", ["half", "lost", "silent"])
+def test_told_to_stop_right_after_an_answer_was_torn_what_the_meter_holds_is_fetched(link: Link, kind: Kind) -> None:
+    passed = pass_through([Fault(kind, 9.0)], 10.5, link=link, poll_s=0.0)  # within the timeout of that answer
+
+    assert passed.gaps == []
+    assert passed.readings["index"].tolist() == list(range(passed.truth.size))
+    assert [event.message.split(":")[0].split()[0] for event in passed.events if event.kind == "link"] == [
+        "lost",
+        "back",
+    ]
+    assert judge(passed).breaches == 0
+
+
+@pytest.mark.parametrize("kind", ["half", "lost", "late"])
+def test_an_answer_that_is_torn_in_the_course_of_the_stop_loses_nothing_and_invents_no_gap(kind: Kind) -> None:
+    for strikes_s in (10.0, 10.0005, 10.001, 10.0015, 10.002, 10.0025, 10.003):
+        passed = pass_through([Fault(kind, strikes_s)], 10.0, poll_s=0.0)
+        torn = [gap for gap in passed.gaps if "never arrived whole" in gap.message]
+
+        assert passed.gaps == torn
+        assert passed.readings.size + passed.stream.ledger.lost == passed.truth.size
+        assert judge(passed).breaches == 0
+
+
+def test_told_to_stop_after_a_long_outage_the_link_is_tried_once_more_and_the_stop_is_not_kept_waiting() -> None:
+    passed = pass_through([Fault("unplug", 10.0, lasts_s=1000.0)], 60.0)
+    (gap,) = passed.gaps
+
+    assert "told to stop while the link was down" in gap.message
+    assert (passed.ended_ns - passed.began_ns) * 1e-9 < 60.0 + 4 * Options().timeout_s
+
+
+@pytest.mark.parametrize("reads", [True, False])
+def test_a_meter_that_another_program_took_over_is_left_to_it_at_the_stop_and_that_is_said_once(reads: bool) -> None:
+    clock = SteppedClock()
+    bench = Bench(Meter(Slope(), clock, MeterProperties(noise=False)), clock)
+    others: list[Instrument] = []
+    end_ns = clock() + 10_000_000_000
+
+    def sleep(seconds: float) -> None:
+        clock.sleep(seconds)
+        if reads and others:
+            others[0].drain(10)
+
+    def wait(seconds: float) -> bool:
+        clock.sleep(seconds)
+        if clock() >= end_ns and not others:
+            others.append(open_instrument("SIM", Options(), clock, lambda: SimulatedLink(bench, clock), clock.sleep))
+            others[0].start()
+        return clock() >= end_ns
+
+    meter = open_instrument("SIM", Options(), clock, lambda: SimulatedLink(bench, clock), sleep)
+    stream = Stream(meter, wait=wait, room=lambda: 1 << 17, clock=clock, utc=clock)
+    events = [event for delivery in stream.deliveries() for event in delivery.events]
+    meter.close()
+    said = [event.message for event in events if event.kind == "link"]
+    (gap,) = [event for event in events if event.kind == "gap"]
+
+    assert len(said) == len(set(said)) == (2 if reads else 1)
+    assert ("another program had taken" if reads else "had lost its settings") in gap.message
+    other = others[0]
+    assert isinstance(other, Recoverable)
+    assert other.recover().sampling
