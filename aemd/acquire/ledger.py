@@ -108,7 +108,7 @@ class Ledger:
         if not np.isfinite(self._clock.uncertainty_ns):
             return False
         least, largest = self._clock.finished(asked_ns, answered_ns)
-        return self.next_index < least - self._slack(answered_ns) and least <= largest
+        return self.next_index < least - self._slack(asked_ns) and least <= largest
 
     def needs_recount(self, drain: Drain) -> bool:
         """Tell whether `enter` wants another look, one that takes nothing, before it numbers these readings."""
