@@ -1,13 +1,12 @@
 """Long records: first steps on some blocks, the last ones on all readings, and the same answer."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import pytest
 
 from aemd.diagnose.climb import Climb, densities, race
 from aemd.diagnose.hypothesis import Base, Data, base_box, make_data
 from aemd.diagnose.terms.noise import ChangingNoise
+from tests.diagnose.counted import Counted
 from tests.diagnose.plant import series
 
 N = 60_000
@@ -79,22 +78,3 @@ def test_over_all_of_a_long_record_a_start_without_hope_has_two_steps_at_most(da
     passes = known.start.size + 3
     for kind in kinds[1:]:
         assert sum(kind.asked) <= 2 * (passes + 9) + 3
-
-
-@dataclass
-class Counted:
-    """A wave that counts how often it is asked for over all readings."""
-
-    cost_nats: float
-    cause: str
-    asked: list[bool] = field(default_factory=list)
-
-    start = np.zeros(1)
-    bounds = ((-10.0, 10.0),)
-
-    def add(self, theta, data, parts):
-        self.asked.append(data.sample is None)
-        parts.mean += theta[0] * np.sin(data.t_s)
-
-    def parameters(self, data):
-        return ()

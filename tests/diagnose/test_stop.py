@@ -1,6 +1,5 @@
 """A record with more wrong than is looked for: the report comes, and says where the search stopped."""
 
-from dataclasses import dataclass, field
 from math import log
 
 import numpy as np
@@ -13,6 +12,7 @@ from aemd.diagnose.hypothesis import make_data
 from aemd.diagnose.naming import acts_throughout
 from aemd.diagnose.terms.lines import Sines
 from aemd.diagnose.terms.noise import Resonance
+from tests.diagnose.counted import Counted
 from tests.diagnose.plant import series, times
 
 N = 1_500
@@ -48,25 +48,6 @@ def test_a_start_without_hope_has_fewer_steps_beside_a_large_model(resonances, s
     for kind in kinds[1:]:
         assert len(kind.asked) <= steps * (passes + 9) + 3
         assert steps == 1 or len(kind.asked) > passes + 9
-
-
-@dataclass
-class Counted:
-    """A level that counts how often it is asked for."""
-
-    cost_nats: float
-    cause: str
-    asked: list[None] = field(default_factory=list)
-
-    start = np.zeros(1)
-    bounds = ((-10.0, 10.0),)
-
-    def add(self, theta, data, parts):
-        self.asked.append(None)
-        parts.mean += theta[0] * np.sin(data.t_s)
-
-    def parameters(self, data):
-        return ()
 
 
 def test_all_findings_together_have_a_gain_of_their_own():

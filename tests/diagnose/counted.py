@@ -1,0 +1,24 @@
+"""A term for tests that count the work of a race."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass
+class Counted:
+    """A wave that counts how often it is asked for, and whether over all readings."""
+
+    cost_nats: float
+    cause: str
+    asked: list[bool] = field(default_factory=list)
+
+    start = np.zeros(1)
+    bounds = ((-10.0, 10.0),)
+
+    def add(self, theta, data, parts):
+        self.asked.append(data.sample is None)
+        parts.mean += theta[0] * np.sin(data.t_s)
+
+    def parameters(self, data):
+        return ()
