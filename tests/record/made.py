@@ -1,14 +1,17 @@
 """Readings, estimates and descriptions that the tests of recordings write."""
 
 import struct
+from pathlib import Path
 
 import numpy as np
 
 from aemd.block import ESTIMATE, READING, WITNESS, Batch, Block, Estimates, Event, Status
 from aemd.record.description import Description, write_parameters
+from aemd.record.reader import Recording
 
 T0_NS = 1_700_000_000_000_000_000
 STEP_NS = 66_666_667
+NO_ESTIMATES = np.empty(0, ESTIMATE)
 
 DESCRIPTION = Description(
     interval_s=0.066666667,
@@ -64,3 +67,12 @@ def records_of(octets: bytes) -> list[tuple[int, int, bytes]]:
         found.append((opcode, at, octets[at + 9 : at + 9 + length]))
         at += 9 + length
     return found
+
+
+def read_all(path: Path, batch_readings: int | None = None, **options: bool) -> tuple[list[Batch], Block, Estimates]:
+    """Return the batches, all readings and all estimates of a recording."""
+    with Recording(path, **options) as recording:
+        pairs = list(recording.batches_with_estimates(batch_readings))
+    batches = [batch for batch, _ in pairs]
+    readings = np.concatenate([np.empty(0, READING), *(batch.readings for batch in batches)])
+    return batches, readings, np.concatenate([NO_ESTIMATES, *(estimates for _, estimates in pairs)])

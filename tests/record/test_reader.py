@@ -1,5 +1,5 @@
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,29 +8,25 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from mcap.records import Message
-from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType, Writer
 
-from aemd.block import ESTIMATE, READING, WITNESS, Batch, Block, Estimates, Event
+from aemd.block import ESTIMATE, READING, WITNESS, Batch, Estimates, Event
 from aemd.errors import RecordingError
 from aemd.record.description import Description
 from aemd.record.reader import Recording
-from aemd.record.schema import SCHEMA_DATA
-from aemd.record.source import Selection, open_readings
 from aemd.record.writer import Recorder
-from tests.record.made import DESCRIPTION, STEP_NS, T0_NS, estimates_of, eventful_batch, readings_of, records_of
+from tests.record.made import (
+    DESCRIPTION,
+    NO_ESTIMATES,
+    STEP_NS,
+    T0_NS,
+    estimates_of,
+    eventful_batch,
+    read_all,
+    readings_of,
+    records_of,
+)
 
 WITH_WITNESS = replace(DESCRIPTION, witnesses={"temperature": "degC"})
-NO_ESTIMATES = np.empty(0, ESTIMATE)
-
-
-def _all(path: Path, batch_readings: int | None = None, **options: bool) -> tuple[list[Batch], Block, Estimates]:
-    with Recording(path, **options) as recording:
-        pairs = list(recording.batches_with_estimates(batch_readings))
-    batches = [batch for batch, _ in pairs]
-    readings = np.concatenate([np.empty(0, READING), *(batch.readings for batch in batches)])
-    return batches, readings, np.concatenate([NO_ESTIMATES, *(estimates for _, estimates in pairs)])
 
 
 @st.composite
@@ -74,7 +70,7 @@ def test_whatever_was_written_is_read_to_the_bit(
         recorder.write(batch, estimates)
     recorder.close()
 
-    batches, readings, estimates = _all(path, batch_readings)
+    batches, readings, estimates = read_all(path, batch_readings)
 
     assert readings.tobytes() == b"".join(batch.readings.tobytes() for batch, _ in pairs)
     assert estimates.tobytes() == b"".join(made.tobytes() for _, made in pairs)
@@ -87,7 +83,7 @@ def test_estimates_that_lag_and_begin_before_the_first_reading_keep_their_index(
     estimates = estimates_of(readings_of(10, first_index=2**32 - 3))
     path = record([(Batch(readings), estimates)], replace(DESCRIPTION, first_index=2**32 + 2))
 
-    _, read, made = _all(path)
+    _, read, made = read_all(path)
 
     assert read.tobytes() == readings.tobytes()
     assert made.tobytes() == estimates.tobytes()
@@ -112,7 +108,7 @@ def test_events_and_witnesses_come_with_the_reading_that_follows_them(
     batch, estimates = eventful_batch()
     path = record([(batch, estimates)], WITH_WITNESS, chunk_bytes=chunk_bytes)
 
-    batches, readings, made = _all(path, batch_readings)
+    batches, readings, made = read_all(path, batch_readings)
 
     assert readings.tobytes() == batch.readings.tobytes()
     assert made.tobytes() == estimates.tobytes()
@@ -183,7 +179,7 @@ def test_a_file_cut_anywhere_is_refused_or_read_as_a_prefix(record: Callable[...
             with pytest.raises(RecordingError, match=r"cut\.mcap: is (unfinished|no MCAP file|empty).*$"):
                 Recording(cut)
         try:
-            _, read, made = _all(cut, allow_unfinished=True)
+            _, read, made = read_all(cut, allow_unfinished=True)
         except RecordingError:
             assert length < chunk_ends[0]
             continue
@@ -205,7 +201,7 @@ def test_a_tail_of_rubbish_is_not_read(record: Callable[..., Path], tmp_path: Pa
     path = tmp_path / "cut.mcap.active"
     path.write_bytes(octets[:second] + tail)
 
-    _, read, _ = _all(path, allow_unfinished=True)
+    _, read, _ = read_all(path, allow_unfinished=True)
 
     assert read.tobytes() == readings[: len(read)].tobytes()
     assert len(read) == 34  # ceil(1500 / 45) readings in the first chunk
@@ -222,7 +218,7 @@ def test_a_changed_bit_in_a_chunk_is_found_and_the_chunk_is_named(record: Callab
     path.write_bytes(octets)
 
     with pytest.raises(RecordingError, match=rf"bad\.mcap: is damaged: its chunk at byte {at} has a wrong CRC$"):
-        _all(path)
+        read_all(path)
 
 
 @pytest.mark.parametrize("seed", range(200))
@@ -238,7 +234,7 @@ def test_a_changed_byte_never_invents_a_reading(record: Callable[..., Path], tmp
     path.write_bytes(octets)
 
     try:
-        _, read, made = _all(path, allow_unfinished=True)
+        _, read, made = read_all(path, allow_unfinished=True)
     except RecordingError:
         return
     assert set(read["index"]) <= set(readings["index"])
@@ -256,31 +252,7 @@ def test_a_wrong_index_does_no_harm(record: Callable[..., Path], tmp_path: Path)
         struct.pack_into("<Q", changed, at + 9 + 6 + 16 * entry + 8, 45 * entry + 1)
         path.write_bytes(changed)
 
-        assert _all(path)[1].tobytes() == readings.tobytes()
-
-
-def _rewrite(source: Path, target: Path, **options: object) -> None:
-    """Copy the messages with the mcap package's own writer, which puts schemas and channels into the chunks."""
-    with source.open("rb") as file, target.open("wb") as out:
-        writer = Writer(out, **options)  # type: ignore[arg-type]
-        writer.start()
-        schema = writer.register_schema("aemd.v1.Reading", "protobuf", SCHEMA_DATA)
-        channel = writer.register_channel("/dmm/raw", "protobuf", schema)
-        for message in StreamReader(file).records:
-            if isinstance(message, Message):
-                writer.add_message(channel, message.log_time, message.data, message.publish_time, message.sequence)
-        writer.finish()
-
-
-def test_a_recording_that_another_writer_rewrote_reads_the_same(record: Callable[..., Path], tmp_path: Path) -> None:
-    readings = readings_of(500)
-    path = record([(Batch(readings), NO_ESTIMATES)], replace(DESCRIPTION, estimator={}))
-    _rewrite(path, tmp_path / "other.mcap", chunk_size=3000)
-
-    with Recording(tmp_path / "other.mcap") as recording:
-        assert recording.statistics().readings == 500
-
-    assert _all(tmp_path / "other.mcap")[1].tobytes() == readings.tobytes()
+        assert read_all(path)[1].tobytes() == readings.tobytes()
 
 
 def test_an_open_recording_can_be_left_in_the_middle(record: Callable[..., Path]) -> None:
@@ -292,112 +264,13 @@ def test_an_open_recording_can_be_left_in_the_middle(record: Callable[..., Path]
     assert first.readings["index"][0] == 0  # and closing the map did not fail
 
 
-def _foreign(path: Path, topic: str, encoding: str, schema: str, data: bytes, **options: object) -> Path:
-    with path.open("wb") as out:
-        writer = Writer(out, **options)  # type: ignore[arg-type]
-        writer.start()
-        number = writer.register_schema(schema, "protobuf", data)
-        channel = writer.register_channel(topic, encoding, number)
-        writer.add_message(channel, 1, b"{}", 1)
-        writer.finish()
-    return path
-
-
-@pytest.mark.parametrize(
-    ("made", "complaint"),
-    [
-        (("/imu", "json", "Imu", b""), r"has no topic /dmm/raw of aemd\.v1\.Reading, which we need; its topics: /imu$"),
-        (
-            ("/dmm/raw", "json", "Volt", b""),
-            r"topic /dmm/raw has 'Volt' as 'json'; we read aemd\.v1\.Reading as protobuf",
-        ),
-        (("/dmm/raw", "protobuf", "aemd.v1.Reading", b""), r"lacks one of value, status"),
-        (("/dmm/raw", "protobuf", "aemd.v1.Reading", b"\xff"), r"lacks one of value, status"),
-        (("/dmm/raw", "protobuf", "aemd.v1.Reading", SCHEMA_DATA), r"chunk at byte \d+ holds a message that is not of"),
-    ],
-)
-def test_a_foreign_recording_is_refused_in_one_line(tmp_path: Path, made: tuple, complaint: str) -> None:
-    path = _foreign(tmp_path / "other.mcap", *made)
-
-    with pytest.raises(RecordingError, match=complaint) as refused:
-        _all(path)
-    assert "\n" not in str(refused.value)
-
-
-def _merged(recordings: Sequence[Path], target: Path) -> Path:
-    """Copy the readings of recordings, each with a channel of its own, as a merge does, behind two of others."""
-    with target.open("wb") as out:
-        writer = Writer(out)
-        writer.start()
-        for origin in ("left", "right"):
-            writer.register_channel("/imu", "json", 0, {"from": origin})
-        schema = writer.register_schema("aemd.v1.Reading", "protobuf", SCHEMA_DATA)
-        for path in recordings:
-            channel = writer.register_channel("/dmm/raw", "protobuf", schema, {"from": path.name})
-            with path.open("rb") as file:
-                for message in StreamReader(file).records:
-                    if isinstance(message, Message):
-                        writer.add_message(
-                            channel, message.log_time, message.data, message.publish_time, message.sequence
-                        )
-        writer.finish()
-    return target
-
-
-def test_two_channels_of_readings_are_refused_with_a_way_to_read_both(
-    record: Callable[..., Path], tmp_path: Path
-) -> None:
-    readings = readings_of(100)
-    halves = {"a.mcap": readings[:50], "b.mcap": readings[50:]}
-    path = _merged(
-        [record([(Batch(half), NO_ESTIMATES)], name=name) for name, half in halves.items()], tmp_path / "both.mcap"
-    )
-
-    with pytest.raises(RecordingError, match=r"two channels on /dmm/raw, 3 and 4, .* --topic /dmm/raw --field value"):
-        Recording(path)
-    with open_readings(path, Selection("/dmm/raw", "value")) as recording:
-        taken = np.concatenate([batch.readings for batch in recording.batches()])
-    assert taken["value_V"].tobytes() == readings["value_V"].tobytes()
-    assert taken["t_ns"].tobytes() == readings["t_ns"].tobytes()
-
-
-def test_two_channels_on_a_topic_of_another_program_do_no_harm(record: Callable[..., Path], tmp_path: Path) -> None:
-    readings = readings_of(100)
-    path = _merged([record([(Batch(readings), NO_ESTIMATES)])], tmp_path / "other.mcap")
-
-    assert _all(path)[1].tobytes() == readings.tobytes()
-
-
-def test_compression_and_layout_that_we_do_not_read_are_refused_in_one_line(tmp_path: Path) -> None:
-    told = ("/dmm/raw", "protobuf", "aemd.v1.Reading", SCHEMA_DATA)
-    path = _foreign(tmp_path / "lz4.mcap", *told, compression=CompressionType.LZ4)
-    path.write_bytes(path.read_bytes().replace(b"lz4", b"lz5"))
-
-    with pytest.raises(RecordingError, match="is compressed with 'lz5', of which we read zstd and lz4 only"):
-        _all(path)
-    with pytest.raises(RecordingError, match="has a message outside a chunk at byte"):
-        Recording(_foreign(tmp_path / "flat.mcap", *told, use_chunking=False))
-
-
-@pytest.mark.parametrize("octets", [b"", b"time,value\n0,1\n", b"\x89MCAP0\r", b"\x89PNG\r\n\x1a\n" * 10])
-def test_what_is_no_mcap_file_is_refused_in_one_line(tmp_path: Path, octets: bytes) -> None:
-    (tmp_path / "x.mcap").write_bytes(octets)
-
-    with pytest.raises(RecordingError, match=r"x\.mcap: is (no MCAP file|empty): "):
-        Recording(tmp_path / "x.mcap")
-    with pytest.raises(RecordingError, match=r"y\.mcap: cannot be read: no such file"):
-        Recording(tmp_path / "y.mcap")
-    with pytest.raises(RecordingError, match=r"is a folder: name the files in it, as .*/\*\.mcap$"):
-        Recording(tmp_path)
-
-
 def test_a_witness_keeps_its_bits(record: Callable[..., Path]) -> None:
     values = np.zeros(50, WITNESS)
     values["t_ns"] = T0_NS + np.arange(50) * STEP_NS
     values["value"] = np.random.default_rng(3).standard_normal(50)
     path = record([(Batch(readings_of(50), (), {"temperature": values}), NO_ESTIMATES)], WITH_WITNESS, chunk_bytes=500)
 
-    batches, _, _ = _all(path)
+    batches, _, _ = read_all(path)
 
     read = np.concatenate([batch.witnesses["temperature"] for batch in batches])
     assert read.tobytes() == values.tobytes()
