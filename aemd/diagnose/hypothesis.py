@@ -6,7 +6,7 @@ and scaled, so that one optimiser fits them all. What a user reads (volts, secon
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import exp, log, sqrt
+from math import exp, inf, log, sqrt
 from typing import Protocol
 
 import numpy as np
@@ -160,6 +160,10 @@ class Parameter:
     value: Callable[[Floats], float]
     positive: bool = True
     """Whether its interval is made on a logarithmic scale."""
+    limits: tuple[float, float] = (-inf, inf)
+    """What is possible at all: where an interval ends that is open on a side."""
+    ends: tuple[float, float] | None = None
+    """Its 95 % interval, where a term knows it by another way than the likelihood's."""
 
 
 class Term(Protocol):

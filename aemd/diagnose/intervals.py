@@ -44,6 +44,8 @@ _MOST_STEPS = 4
 _CLIMB = 3
 _FALLEN = 1.96**2 / 2
 """Nats that a profile has fallen at the ends of a 95 % interval."""
+_FALLEN_ALONE = 1.645**2 / 2
+"""Nats that it has fallen at the one end that an interval has within a number's bounds."""
 _FARTHER = 2.5
 """Times its parabola's reach that an end is sought, at most. Nor is it nearer than the parabola's: what a few steps of
 a climb have not yet regained makes a profile look steeper than it is."""
@@ -72,6 +74,19 @@ def describe(fit: Fit, number: int, spread: Floats) -> Mapping[str, Value]:
     low, high = np.array(term.bounds, np.float64).reshape(-1, 2).T
     ends = np.where(theta >= high, 1.0, np.where(theta <= low, -1.0, 0.0))
     told = {parameter.name: _opened(parameter, theta, own, ends) for parameter in term.parameters(fit.data)}
+    for parameter in term.parameters(fit.data):
+        alone = np.flatnonzero(_slopes(parameter, theta))
+        if parameter.ends is not None:
+            low_end, high_end = parameter.ends
+            told[parameter.name] = replace(told[parameter.name], low=low_end, high=high_end)
+        elif alone.size == 1 and ends[alone[0]]:
+            at = int(alone[0])
+            inner = parameter.value(_moved(theta, at, _inner(fit, number, at, -float(ends[at]))))
+            value = told[parameter.name]
+            told[parameter.name] = replace(value, low=min(value.low, inner), high=max(value.high, inner))
+        least, most = parameter.limits
+        value = told[parameter.name]
+        told[parameter.name] = replace(value, low=max(value.low, least), high=min(value.high, most))
     if not _is_slow(fit, number):
         return told
     given = np.diag(_given_the_drift(fit))[begin : begin + theta.size]
@@ -153,6 +168,23 @@ def _reach(fit: Fit, number: int, at: int, spread: Floats, wider: float) -> tupl
             reach = float(np.clip(further, parabola, parabola * _FARTHER))
         found.append(side * reach)
     return found[0], found[1]
+
+
+def _inner(fit: Fit, number: int, at: int, side: float) -> float:
+    """Return how far from its bound a number may be: where the profile has fallen far enough for one end alone."""
+    index = sum(term.start.size for term in fit.terms[:number]) + at
+    low, high = fit.terms[number].bounds[at]
+    reach, farthest = _INSIDE, high - low
+    for _ in range(_CLIMB):
+        value = float(np.clip(fit.theta[index] + side * reach, low, high))
+        terms = [*fit.terms]
+        terms[number] = _Held(fit.terms[number], at, value)
+        near = fit.theta.copy()
+        near[index] = value
+        fallen = fit.log_likelihood - climb(terms, near, fit.data, _CLIMB)[1]
+        # From the bound the fall is between a line and a parabola; the parabola's end is the nearer one to begin with.
+        reach = min(reach * float(np.clip(sqrt(_FALLEN_ALONE / max(fallen, 1e-3)), 0.1, 10.0)), farthest)
+    return side * reach
 
 
 def _moved(theta: Floats, at: int, by: float) -> Floats:
@@ -240,9 +272,9 @@ def _opened(parameter: Parameter, theta: Floats, spread: Floats, ends: Floats) -
         if abs(change) < _SAME * min(abs(value.value), width):
             continue
         if change > 0:
-            value = replace(value, high=inf)
+            value = replace(value, high=parameter.limits[1])
         elif change < 0:
-            value = replace(value, low=0.0 if parameter.positive else -inf)
+            value = replace(value, low=max(parameter.limits[0], 0.0 if parameter.positive else -inf))
     return value
 
 

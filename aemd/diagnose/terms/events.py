@@ -180,4 +180,4 @@ class ShockLaw:
 
     def parameters(self, data: Data) -> Sequence[Parameter]:  # noqa: ARG002 - a Term's
         """Return the part of the shocks that is positive."""
-        return [Parameter("fraction", "", lambda v: 0.5 + v[0] / 2, positive=False)]
+        return [Parameter("fraction", "", lambda v: 0.5 + v[0] / 2, positive=False, limits=(0.0, 1.0))]
