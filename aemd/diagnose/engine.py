@@ -22,6 +22,7 @@ from aemd.diagnose.given import BOUNDED, Given, accept
 from aemd.diagnose.hidden import hidden
 from aemd.diagnose.hypothesis import Data, make_data
 from aemd.diagnose.intervals import covariance, describe
+from aemd.diagnose.promise import promise
 from aemd.diagnose.result import Diagnosis, Discrepancy, Finding, Verdict
 from aemd.diagnose.search import search
 from aemd.diagnose.series import Series, load_series
@@ -94,6 +95,7 @@ def criticise(
         base_model=_tables(base, series.aperture_s, spread if base is fit else covariance(base)),
         extended_model=_tables(fit, series.aperture_s, spread),
         allan=compare_allan(base, fit),
+        promise=None if fit is base else promise(base, fit, spread, series.aperture_s),
         left_out=series.left_out,
         path=series.path,
         seconds=time.perf_counter() - begun,

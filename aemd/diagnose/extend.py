@@ -4,6 +4,7 @@ from pathlib import Path
 
 from aemd.config import parse_options
 from aemd.diagnose.estimator import estimator_for
+from aemd.diagnose.report import format_promise
 from aemd.diagnose.result import Diagnosis
 from aemd.errors import ConfigError
 from aemd.model import EFFECTS, TERMS, Model
@@ -43,6 +44,8 @@ def write_extended(diagnosis: Diagnosis, path: Path, *, extended: bool = True) -
     text += [f"# In the readings, but without a term here: {cause}.\n" for cause in tables["without_term"]]
     text.append(format_model(made))
     text.append("\n# What the estimator takes from the terms above.\n")
+    if extended and diagnosis.promise is not None:
+        text.append(f"# {format_promise(diagnosis.promise)}\n")
     text += [f"# {note[0].upper()}{note[1:]}.\n" for note in notes]
     if choice is not None:
         text.append(as_toml(choice.as_table()) + "\n")

@@ -19,10 +19,14 @@ from numpy.typing import NDArray
 from aemd import __version__
 from aemd.diagnose.curves import Curve, after_jumps, folded, levels, running_deviation, unwound
 from aemd.diagnose.extend import model_of
+from aemd.diagnose.fit import residuals
+from aemd.diagnose.given import accept
+from aemd.diagnose.hypothesis import make_data
+from aemd.diagnose.leftover import LeftOver, left_over
 from aemd.diagnose.report import format_diagnosis, format_finding
 from aemd.diagnose.result import Diagnosis, Finding
 from aemd.diagnose.series import Series, load_series
-from aemd.errors import RecordingError
+from aemd.errors import ConfigError, RecordingError
 from aemd.model import Model
 
 __all__ = ["write_html"]
@@ -33,6 +37,17 @@ _SIMULATIONS = 40
 _LONGEST = 20_000
 """Readings of each simulation; of a longer record the first so many are shown, so that the page is there in seconds."""
 _COLOURS = {"data": "#1f2933", "base": "#c05621", "extended": "#2b6cb0"}
+_KEY = {
+    "data": "the readings",
+    "base": "95 % of records that the base model makes",
+    "extended": "95 % of those that the model with all findings makes",
+}
+_KEY_OF_RESIDUALS = {
+    "data": "residuals of the model with all that has a name; a circle marks what chance gives once in 100 pictures",
+    "extended": "where 95 % of the cells are if the model is right",
+}
+_SURPRISE = 2.0
+"""Decades below 1 of the chance of a cell, over all cells of the picture, from which it is marked."""
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>aemd diagnose: {title}</title>
 <style>
@@ -61,12 +76,16 @@ def write_html(diagnosis: Diagnosis, path: Path) -> None:
     bands = {name: _simulate(model_of(diagnosis, extended=name == "extended"), series) for name in ("base", "extended")}
     text = format_diagnosis(diagnosis)
     parts = [_section("Readings, spectrum and Allan deviation", "", _overview(series, bands))]
-    parts += [
-        _section(
-            f"{number}. {finding.cause.replace('_', ' ')}", format_finding(finding), _picture(finding, series, bands)
-        )
-        for number, finding in enumerate(diagnosis.findings, start=1)
-    ]
+    left: LeftOver | None = None
+    for number, finding in enumerate(diagnosis.findings, start=1):
+        title = f"{number}. {finding.cause.replace('_', ' ')}"
+        if finding.cause == "unexplained":
+            left = left or _left_over(diagnosis, series)
+        if finding.cause == "unexplained" and left is not None:
+            text_of = f"{left.sentence}\n{format_finding(finding)}"
+            parts.append(_section(title, text_of, _residuals(left), key=False))
+        else:
+            parts.append(_section(title, format_finding(finding), _picture(finding, series, bands)))
     page = _PAGE.format(
         title=escape(Path(diagnosis.path).name),
         verdict=escape(text.splitlines()[0]),
@@ -104,14 +123,59 @@ def _simulate(model: Model, series: Series) -> Floats:
     return made
 
 
-def _section(title: str, text: str, figure: Figure) -> str:
+def _left_over(diagnosis: Diagnosis, series: Series) -> LeftOver | None:
+    """Return where the residuals are off that all named findings leave; none of a model without a likelihood."""
+    try:
+        given, _ = accept(model_of(diagnosis), diagnosis.path)
+    except ConfigError:
+        return None
+    data = make_data(series)
+    fit = residuals([replace(given, aperture_s=series.aperture_s)], np.empty(0), data)
+    return left_over(fit.z, data.slot, data.used, data.interval_s)
+
+
+def _residuals(left: LeftOver) -> Figure:
+    """Return residuals over time, frequency, both and size; each beside what it should be, which is 1."""
+    figure = Figure(figsize=(10, 7), layout="constrained")
+    (top, beside), (below, last) = figure.subplots(2, 2)
+    for axes, cells, name in (
+        (top, left.over_time, "time, s"),
+        (beside, left.over_frequency, "frequency, Hz"),
+        (last, left.over_size, "residual, in its standard deviations"),
+    ):
+        axes.stairs(cells.high, cells.edges, baseline=cells.low, fill=True, color=_COLOURS["extended"], alpha=0.3)
+        axes.stairs(cells.ratio, cells.edges, baseline=None, color=_COLOURS["data"], lw=1.2)
+        what = "how many, over what should be" if cells is left.over_size else "energy, over what should be"
+        axes.set(xlabel=name, ylabel=what)
+    last.set(ylim=(0, min(2 * float(np.nanmax(left.over_size.high[2:-2])), 8.0)))
+    surprise = -np.log10(np.maximum(left.p_value * left.p_value.size, 1e-12))
+    mesh = below.pcolormesh(
+        left.over_time.edges,
+        left.band_edges_hz,
+        np.clip(np.log2(np.maximum(left.energy, 1e-3)), -3, 3),
+        cmap="PuOr_r",
+        vmin=-3,
+        vmax=3,
+        rasterized=True,
+    )
+    bar = figure.colorbar(mesh, ax=below, label="energy, over what should be")
+    bar.set_ticks([-3, -2, -1, 0, 1, 2, 3], labels=["1/8", "1/4", "1/2", "1", "2", "4", "8"])
+    rows, columns = np.nonzero(surprise > _SURPRISE)
+    middle_s, middle_hz = ((edges[1:] + edges[:-1]) / 2 for edges in (left.over_time.edges, left.band_edges_hz))
+    below.plot(middle_s[columns], middle_hz[rows], "o", ms=4, mfc="none", color=_COLOURS["data"])
+    below.set(xlabel="time, s", ylabel="frequency, Hz")
+    return figure
+
+
+def _section(title: str, text: str, figure: Figure, *, key: bool = True) -> str:
     stream = BytesIO()
     figure.savefig(stream, format="svg", bbox_inches="tight")
     picture = b64encode(stream.getvalue()).decode()
-    key = "".join(f'<span style="border-color: {colour}">{name}</span>' for name, colour in _COLOURS.items())
+    shown = _KEY if key else _KEY_OF_RESIDUALS
+    spans = "".join(f'<span style="border-color: {_COLOURS[name]}">{what}</span>' for name, what in shown.items())
     return (
-        f"<h2>{escape(title)}</h2><p>{escape(text)}</p>"
-        f'<img alt="{escape(title)}" src="data:image/svg+xml;base64,{picture}"><p class="key">{key}</p>'
+        f"<h2>{escape(title)}</h2>{''.join(f'<p>{escape(line)}</p>' for line in text.splitlines())}"
+        f'<img alt="{escape(title)}" src="data:image/svg+xml;base64,{picture}"><p class="key">{spans}</p>'
     )
 
 

@@ -3,9 +3,9 @@
 import re
 from math import ceil, isfinite, log, log10
 
-from aemd.diagnose.result import Diagnosis, Finding, Gain, Value
+from aemd.diagnose.result import Diagnosis, Finding, Gain, Promise, Value
 
-__all__ = ["format_diagnosis", "format_finding"]
+__all__ = ["format_diagnosis", "format_finding", "format_promise"]
 
 _UNIT = r"(_V|_hz)?_per_(rt_s|s|[A-Z]+)$|_(V|hz|s|readings)$"
 _TOLD_APART = 5.4
@@ -31,6 +31,8 @@ def format_diagnosis(diagnosis: Diagnosis) -> str:
         lines.append("Nats say how much more probable the readings become: 5 nats are odds of 150 to 1.")
     if diagnosis.gain is not None and sum(finding.gain.nats_total != 0 for finding in diagnosis.findings) > 1:
         lines.append(f"All that was found together is {_worth(diagnosis.gain)}.")
+    if diagnosis.promise is not None:
+        lines.append(format_promise(diagnosis.promise))
     if diagnosis.allan:
         lines.append(_steadiness(diagnosis))
     first = "The first " if diagnosis.left_out else ""
@@ -43,6 +45,19 @@ def format_diagnosis(diagnosis: Diagnosis) -> str:
 def format_finding(finding: Finding) -> str:
     """Return the two lines of one finding."""
     return "\n".join(_finding(finding))
+
+
+def format_promise(promise: Promise) -> str:
+    """Return what an estimator of the extended model should deliver, as one sentence.
+
+    Ratios have two digits after the point: they are of a few drawn records.
+    """
+    before, after = (_engineer(error_V, "V", 3) for error_V in (promise.error_before_V, promise.error_after_V))
+    ratio = promise.ratio
+    return (
+        f"An estimator that knows of it (-o) should err by {after} rms of the input instead of {before}: on a further "
+        f"record of this kind {ratio.low:.2f} to {ratio.high:.2f} times as much."
+    )
 
 
 def _steadiness(diagnosis: Diagnosis) -> str:
@@ -153,14 +168,18 @@ def _say(value: Value) -> str:
     open_below, open_above = low == 0 or not isfinite(low), not isfinite(high)
     digits = 4
     if not (open_below or open_above) and high > low:
-        digits = min(max(ceil(log10(max(abs(here), abs(low), abs(high)) / (high - low))) + 2, 3), 9)
+        digits = min(max(ceil(log10(max(abs(here), abs(low), abs(high)) / (high - low))) + 1, 3), 9)
     text = _engineer(here, value.unit, digits)
     if low == high or (open_below and open_above):
         return text if low == high else f"{text} (of any size)"
     if open_above or open_below:
         end, way = _engineer(low if open_above else high, value.unit, digits), "more" if open_above else "less"
         return f"{text} (or {way})" if end == text else f"{text} ({end} or {way})"
-    return f"{text} ({_engineer(low, value.unit, digits)} to {_engineer(high, value.unit, digits)})"
+    ends = [_engineer(end, value.unit, digits) for end in (low, high)]
+    unit = text.partition(" ")[2]
+    if unit and all(end.partition(" ")[2] == unit for end in ends):  # said once where all three have it
+        ends = [end.partition(" ")[0] for end in ends]
+    return f"{text} ({ends[0]} to {ends[1]})"
 
 
 def _engineer(value: float, unit: str, digits: int = 4) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-__all__ = ["Allan", "Diagnosis", "Discrepancy", "Finding", "Gain", "Value", "Verdict"]
+__all__ = ["Allan", "Diagnosis", "Discrepancy", "Finding", "Gain", "Likely", "Promise", "Value", "Verdict"]
 
 Verdict = Literal["nothing_found", "explained", "unexplained"]
 
@@ -78,6 +78,31 @@ class Allan:
 
 
 @dataclass(frozen=True, slots=True)
+class Likely:
+    """A figure and the range in which 95 % of further records have it."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Promise:
+    """What the extended model's estimator should deliver on a further record of the same kind."""
+
+    error_before_V: float
+    """Root mean square error of the estimate against the input, by the base's estimator."""
+    error_after_V: float
+    """The same, by the extended model's."""
+    ratio: Likely
+    """Of the second to the first."""
+    nats_per_reading: Likely
+    """By which the estimator's own prediction of each reading becomes more probable."""
+    readings: int
+    """Of the record."""
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """The whole answer."""
 
@@ -96,6 +121,8 @@ class Diagnosis:
     or a temperature's share can, additional noise cannot."""
     left_out: int = 0
     """Readings of the file behind the judged ones: of a very long record the beginning is judged."""
+    promise: Promise | None = None
+    """Of the extended model's estimator; none where no term was added, or the model has no input to estimate."""
     path: str = ""
     """The file."""
     covered: tuple[str, ...] = field(default=())

@@ -49,7 +49,9 @@ def test_what_was_not_fitted_is_told_apart_from_what_to_do_next():
         (Value(62.2261, 55.5205, inf, "s"), "62.23 s (55.52 s or more)"),
         (Value(62.2261, 0.0, 69.7416, "s"), "62.23 s (69.74 s or less)"),
         (Value(1e-3, 0.0, inf, "V"), "1 mV (of any size)"),
-        (Value(608.147039, 608.146, 608.148, "Hz"), "608.14704 Hz (608.146 Hz to 608.148 Hz)"),
+        (Value(608.147039, 608.146, 608.148, "Hz"), "608.147 Hz (608.146 to 608.148)"),
+        (Value(50.0119888, 50.0119664, 50.0120111, "Hz"), "50.011989 Hz (50.011966 to 50.012011)"),
+        (Value(1.1e-3, 0.9e-3, 1.3e-3, "V"), "1.1 mV (900 µV to 1.3 mV)"),
     ],
 )
 def test_a_size_has_the_digits_that_its_interval_tells_and_says_which_end_is_open(value, words):

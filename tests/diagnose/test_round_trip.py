@@ -7,11 +7,12 @@ import pytest
 
 from aemd import model
 from aemd.config import load_config, load_estimator
-from aemd.diagnose import diagnose, write_extended
+from aemd.diagnose import diagnose
 from aemd.diagnose.estimator import estimator_for
+from aemd.diagnose.report import format_promise
 from aemd.replay import replay
 from aemd.simulate import read_model, simulate
-from tests.diagnose.promised import compared
+from tests.diagnose.promised import compared, made
 from tests.diagnose.removed import BASE
 
 INTERVAL_S, APERTURE_S = 0.06712, 0.02
@@ -24,21 +25,24 @@ NOISE = model.WhiteNoise.from_sd(3e-4, APERTURE_S)
 def found(tmp_path_factory):
     """A record with a line, its diagnosis, and the files of base and extended model."""
     place = tmp_path_factory.mktemp("round")
-    (place / "true.toml").write_text(BASE + LINE)
-    simulate(place / "true.toml", seconds=300, seed=3, out=place / "a.mcap")
-    diagnosis = diagnose(place / "a.mcap")
-    write_extended(diagnosis, place / "extended.toml")
-    write_extended(diagnosis, place / "base.toml", extended=False)
-    return place, diagnosis
+    return place, made(place, BASE + LINE, seed=4)
 
 
-def test_the_extended_estimator_errs_less_on_fresh_readings_where_a_gain_was_promised(found):
+def test_the_extended_estimator_errs_on_fresh_readings_by_as_much_less_as_was_promised(found):
     place, diagnosis = found
-    (line,) = diagnosis.findings
+    told = diagnosis.promise
 
-    assert line.gain.low > 0
+    assert diagnosis.findings[0].gain.low > 0
+    assert told.ratio.low < told.ratio.value < told.ratio.high < 1
     for seed in (11, 12, 13):
-        assert compared(place, seed)[0] < 0.65  # 0.62 with the line met as white noise of its variance
+        assert compared(place, seed, told.readings).keeps(told)
+
+
+def test_the_file_says_what_was_promised(found):
+    place, diagnosis = found
+
+    assert f"# {format_promise(diagnosis.promise)}" in (place / "extended.toml").read_text()
+    assert "should err" not in (place / "base.toml").read_text()
 
 
 def test_of_readings_that_the_extended_model_makes_it_lacks_nothing(found):
@@ -51,7 +55,7 @@ def test_of_readings_that_the_extended_model_makes_it_lacks_nothing(found):
 
 def test_replay_takes_the_extended_estimator(found):
     place, _ = found
-    replay(place / "a.mcap", model=place / "extended.toml", out=place / "c.mcap")
+    replay(place / "4.mcap", model=place / "extended.toml", out=place / "c.mcap")
 
     assert (place / "c.mcap").stat().st_size > 0
 
@@ -80,7 +84,7 @@ def test_the_line_is_a_part_that_the_estimator_follows_and_leaves_out(found):
 def test_the_gain_in_nats_that_was_promised_is_delivered_on_fresh_readings(found):
     place, diagnosis = found
     promised = diagnosis.findings[0].gain.nats_per_reading
-    delivered = np.mean([compared(place, seed)[1] for seed in (11, 12, 13)])
+    delivered = np.mean([compared(place, seed).nats_per_reading for seed in (11, 12, 13)])
 
     assert delivered == pytest.approx(promised, rel=0.1)
 
