@@ -138,7 +138,8 @@ def _say(times: Cells, frequencies: Cells, sizes: Cells, energy: Floats, p_value
     found.append(
         (
             float(sizes.p_value[at]) * sizes.p_value.size,
-            f"Residuals {where} of their standard deviations come {_many(sizes.ratio[at])} times as often as they should",
+            f"Residuals {where} of their standard deviations come {_many(sizes.ratio[at])} times as often as they "
+            "should",
         )
     )
     chance, text = min(found)

@@ -20,6 +20,7 @@ from aemd.diagnose.estimator import estimator_for
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.result import Likely, Promise
 from aemd.diagnose.translate import to_model
+from aemd.errors import ConfigError
 from aemd.estimate.imm import Imm, ImmOptions
 from aemd.model import Model
 
@@ -37,7 +38,7 @@ _FAR = 2.5
 
 
 def promise(base: Fit, extended: Fit, spread: Floats, aperture_s: float) -> Promise | None:
-    """Return what the extended model's estimator should deliver; none where a model has no input to estimate.
+    """Return what the extended model's estimator should deliver; none where a model has no input, or no estimator.
 
     Args:
         base: without what was found.
@@ -45,6 +46,13 @@ def promise(base: Fit, extended: Fit, spread: Floats, aperture_s: float) -> Prom
         spread: covariance of the extended fit's free numbers.
         aperture_s: of the meter.
     """
+    try:
+        return _try(base, extended, spread, aperture_s)
+    except (ValueError, ArithmeticError, ConfigError):  # figures at the end of what a float, or an estimator, takes
+        return None
+
+
+def _try(base: Fit, extended: Fit, spread: Floats, aperture_s: float) -> Promise | None:
     interval_s, span_s = extended.data.interval_s, extended.data.span_s
     aperture_s = min(aperture_s, interval_s)
     options = list[ImmOptions]()
@@ -60,6 +68,8 @@ def promise(base: Fit, extended: Fit, spread: Floats, aperture_s: float) -> Prom
         for drawn in _drawn(extended, spread, aperture_s, interval_s)
     ]
     errors_V, nats = np.array([each for each, _ in tried]), np.array([each for _, each in tried])
+    if not (np.isfinite(errors_V).all() and np.isfinite(nats).all() and (errors_V > 0).all()):
+        return None
     before_V, after_V = (float(value) for value in np.sqrt(np.mean(errors_V**2, axis=0)))
     ratio, low, high = np.exp(_further(np.log(errors_V[:, 1] / errors_V[:, 0])))
     return Promise(
@@ -80,7 +90,7 @@ def _drawn(fit: Fit, spread: Floats, aperture_s: float, interval_s: float) -> It
             made, _ = to_model(replace(fit, theta=moved), aperture_s)
             read = replace(made, seed=number + 1)
             read.realise().read(np.array([0.0, interval_s]), aperture_s)
-        except ValueError:  # figures that no model can have, far from the fitted ones
+        except (ValueError, ArithmeticError):  # figures that no model can have, far from the fitted ones
             read = replace(to_model(fit, aperture_s)[0], seed=number + 1)
         yield read
 
