@@ -16,7 +16,7 @@ from aemd.diagnose.gain import SLOW, HeldOut, block_of, measure_gain
 from aemd.diagnose.goodness import leaves_a_line, leaves_a_wave, share_a_period, why_unfit
 from aemd.diagnose.hypothesis import Data, Term
 from aemd.diagnose.intervals import covariance, describe
-from aemd.diagnose.naming import Named
+from aemd.diagnose.naming import NOT_WHITE, Named, is_coloured
 from aemd.diagnose.result import Finding, Gain
 from aemd.diagnose.search import LEAST_NATS, Searched
 from aemd.diagnose.terms.lines import Sines
@@ -117,6 +117,7 @@ def _what_stays(searched: Searched) -> tuple[Fit, list[Finding], list[Finding], 
     while True:
         spread = covariance(fit)
         before = searched.without_last if fit is searched.fit else None
+        named = _reheard(fit, named)
         explained = _explained(fit, named, spread, lacking, before)
         judged = [judge(item, found) for item, (_, found) in zip(explained, named, strict=True)]
         gone = [number for number, (_, stays) in enumerate(judged, start=1) if not stays]
@@ -126,6 +127,19 @@ def _what_stays(searched: Searched) -> tuple[Fit, list[Finding], list[Finding], 
         refused += [item for item, stays in judged if not stays]
         named = [item for item, (_, stays) in zip(named, judged, strict=True) if stays]
         fit, named, lacking = _pruned(_without(fit, *gone), named)
+
+
+def _reheard(fit: Fit, named: list[tuple[Evidence, Named]]) -> list[tuple[Evidence, Named]]:
+    """Return what was named, a noise no longer refused for a colour that another finding, not refused, has taken off.
+
+    Of two effects at once, a line and a noise that changes, the first to be named is named beside the other.
+    """
+    if any(found.refused and found.refused != NOT_WHITE for _, found in named):
+        return named
+    return [
+        (item, replace(found, refused="") if found.refused and not is_coloured(fit, found.term) else found)
+        for item, found in named
+    ]
 
 
 def _pruned(fit: Fit, named: list[tuple[Evidence, Named]]) -> tuple[Fit, list[tuple[Evidence, Named]], dict[int, Fit]]:

@@ -27,7 +27,7 @@ from aemd.diagnose.terms.events import Popcorn
 from aemd.diagnose.terms.lines import Sines, WanderingLine, amplitude_cost, fold
 from aemd.diagnose.terms.noise import ChangingNoise, Resonance
 
-__all__ = ["Named", "acts_throughout", "name"]
+__all__ = ["NOT_WHITE", "Named", "acts_throughout", "is_coloured", "name"]
 
 _CREDIBLE = 0.95
 """The set of names holds the truth with this probability; two rivals 5.4 nats apart are told apart by it."""
@@ -55,6 +55,10 @@ _MOST_TO_SPLIT = 200_000
 """Readings; lines are fitted with all of them at hand."""
 _CLEARLY = 2.0
 """Nats."""
+_SELDOM = log(3.0)
+"""Nats against a rival from outside of the catalogue, which holds three in four of what is met."""
+NOT_WHITE = "which would be white, and this is not"
+"""Why a noise that changes is refused; what else is in the record may be what colours it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +88,7 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
     if not candidates:
         return None
     starts = [
-        Climb([*fit.terms, term], start, fit.data, term.cost_nats)
+        Climb([*fit.terms, term], start, fit.data, term.cost_nats + (_SELDOM if term.cause == "unexplained" else 0.0))
         for term in {repr(term): term for term in candidates}.values()  # checks that fail together nominate the same
         for start in begin_with(fit, term)
     ]
@@ -140,8 +144,8 @@ def _does_not_fit(before: Fit, after: Fit) -> str:
         return "which would swing at random, and some lines beside each other explain more"
     if isinstance(term, Popcorn) and span_s / (exp(theta[1]) + exp(theta[2])) < _LEAST_TURNS:
         return "which would jump again and again, and the record holds less than three visits"
-    if isinstance(term, ChangingNoise) and _coloured(after, term):
-        return "which would be white, and this is not"
+    if is_coloured(after, term):
+        return NOT_WHITE
     return ""
 
 
@@ -181,8 +185,10 @@ def _is_some_lines(before: Fit, after: Fit, term: Resonance) -> bool:
     return False
 
 
-def _coloured(fit: Fit, term: ChangingNoise) -> bool:
+def is_coloured(fit: Fit, term: Term) -> bool:
     """Return whether a line stands out of the residuals while the noise is another, where it should be white."""
+    if not isinstance(term, ChangingNoise):
+        return False
     inside = fit.data.used & (fit.data.t_s >= term.begin_s) & (fit.data.t_s < term.end_s)
     z = fit.z[inside]
     if z.size < _LEAST_TO_COLOUR:

@@ -54,6 +54,8 @@ _ORDER = (
 """In which the filter has effects meet a reading, whichever was found first."""
 _A_WALK = 100.0
 """Spans of the record from which a time constant is called infinite."""
+_WITNESSED = (model.ThermalDrift, model.SupplyCoupling)
+"""Of each, a model has one, since it is recorded under one name."""
 
 
 def to_model(fit: Fit, aperture_s: float) -> tuple[model.Model, tuple[str, ...]]:
@@ -85,6 +87,10 @@ def to_model(fit: Fit, aperture_s: float) -> tuple[model.Model, tuple[str, ...]]
             without.append(term.cause)
             continue
         made, changed = make(term, theta, fit, aperture_s)
+        have = {type(part) for part in (*terms, *effects)}
+        if any(isinstance(part, _WITNESSED) and type(part) in have for part in (*made, *changed)):
+            without.append(term.cause)
+            continue
         terms += made
         effects += changed
     if isinstance(fit.terms[0], Base):  # in which the fit has them; a stated model's have an order of their own
@@ -209,8 +215,8 @@ def _signal_dependent(_term: SignalDependentNoise, v: Floats, _fit: Fit, _: floa
 
 
 def _nonlinearity(_term: Nonlinearity, v: Floats, fit: Fit, _: float) -> Made:
-    level_V = float(fit.mean.mean() * fit.data.unit_V + fit.data.origin_V)
-    return [], [model.Nonlinearity(coefficient_per_V=float(v[0] / fit.data.unit_V), centre_V=level_V)]
+    centre_V = fit.data.origin_V
+    return [], [model.Nonlinearity(coefficient_per_V=float(v[0] / fit.data.unit_V), centre_V=centre_V)]
 
 
 def _pattern(_term: ReadingPattern, v: Floats, fit: Fit, _: float) -> Made:

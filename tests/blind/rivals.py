@@ -7,19 +7,24 @@ whitened by the true plant; a resonance as narrow as a record can tell, four of 
 plant fitted again. Two names are told apart in 95 % of the cases from 5.4 nats on, in 99 % from 10.8 (the root of half
 of it is the odds' deviations).
 
+Of what the readings themselves make in the mean, a bent scale, a gain that follows the supply and an offset of the
+wider range, each is a rival of the others, and a witness that adds instead of multiplying one of the gain: where the
+level does not move, they are the same readings. A bent scale is also louder where the slope is larger, and a rival
+noise takes that part of what its score is made of.
+
 A rival of which the truth is a special case is none: a line is a sweep of no sweep. None where no rival is written for
 the kind: noise that is not Gaussian, what is counted, jumps between two levels.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from math import exp, log
 
 import numpy as np
 from scipy.optimize import minimize
 
-from tests.blind.certificate import EXTENDED, KINDS, d_nats, numbers, spectrum, unit_template, whiten
+from tests.blind.certificate import EXTENDED, KINDS, calm, d_nats, numbers, spectrum, unit_template, whiten
 from tests.blind.injector import thermal
-from tests.blind.plant import Effect, Plant, Run, make_world
+from tests.blind.plant import Effect, Plant, Run, make_world, supply, thermometer
 
 __all__ = ["TOLD_APART", "rival_nats"]
 
@@ -28,12 +33,13 @@ BAND = 4.0
 """Frequencies of a record that the narrowest resonance covers."""
 ONE_LINE = ("mains_alias", "periodic_interference")
 BOTH_LINES = (*ONE_LINE, "wandering_line")
+OF_READINGS = ("nonlinearity", "supply_coupling", "range_switching")
 
 
 def rival_nats(run: Run, effect: Effect) -> tuple[float, str] | None:
     """Return D against the nearest rival and its name; None where none can be computed."""
     kind, rivals = KINDS[effect.cause], None
-    if kind == "mean" and effect.cause not in ("nonlinearity", "supply_coupling", "range_switching"):
+    if kind == "mean":
         rivals = mean_rivals(run, effect)
     if kind == "covariance" and effect.cause in EXTENDED:
         rivals = spectral_rivals(run.plant, effect)
@@ -54,9 +60,15 @@ def mean_rivals(run: Run, effect: Effect) -> Iterator[tuple[float, str]]:
         return whiten(np.ascontiguousarray(column, dtype=float), *keeps, *variances)
 
     seen, level = whitened(shown), whitened(np.ones(plant.n))
+    louder = 0.0
+    if effect.cause == "supply_coupling":  # it scales the noise as well, which nothing in the mean does
+        apart = effect.size * supply(make_world(run))
+        louder = float(np.sum((apart - apart.mean()) ** 2))
     for name, columns in shapes(run, effect, shown):
         taken = np.linalg.qr(np.column_stack([level, *(whitened(column) for column in columns)]))[0]
-        yield float(np.sum((seen - taken @ (taken.T @ seen)) ** 2) / 2), name
+        yield float(np.sum((seen - taken @ (taken.T @ seen)) ** 2) / 2) + louder, name
+    if effect.cause == "nonlinearity":
+        yield from noisy_rivals(run, effect, whitened)
     if effect.cause in BOTH_LINES:
         yield BAND * log(1 + d_nats(run, effect) / BAND), "resonance"
 
@@ -84,6 +96,11 @@ def shapes(run: Run, effect: Effect, shown: np.ndarray) -> Iterator[tuple[str, l
         yield from witnessed(run, "thermal_drift")
     elif plant.witness:
         yield from witnessed(run, "latency" if cause == "thermal_drift" else "thermal_drift")
+        yield "supply_coupling", [calm(run) * (thermometer(make_world(run)) - 23)]
+    if cause in OF_READINGS:
+        yield from of_readings(run, cause)
+    if cause == "supply_coupling":
+        yield from with_supply(run)
 
 
 def sines(shown: np.ndarray, t_s: np.ndarray) -> Iterator[list[np.ndarray]]:
@@ -104,6 +121,62 @@ def witnessed(run: Run, cause: str) -> Iterator[tuple[str, list[np.ndarray]]]:
             yield cause, [np.concatenate((np.full(back, now[0]), now[:-back]))]
         else:
             yield cause, [world.read(thermal(world, {"lag_s": float(lag_s)}))]
+
+
+def of_readings(run: Run, cause: str) -> Iterator[tuple[str, list[np.ndarray]]]:
+    """Yield what else the readings themselves can make in the mean."""
+    value = calm(run)
+    if cause != "nonlinearity":
+        yield "nonlinearity", [(value - value.mean()) ** 2]
+    if cause != "range_switching":
+        for part in np.linspace(0.05, 0.95, 19):
+            yield "range_switching", [np.abs(value) >= np.quantile(np.abs(value), part)]
+    if cause != "supply_coupling" and run.plant.witness:
+        yield "supply_coupling", [value * (supply(make_world(run)) - 5)]
+
+
+def with_supply(run: Run) -> Iterator[tuple[str, list[np.ndarray]]]:
+    """Yield the supply added to the readings instead of scaling them: as it is, through a lag, and late."""
+    apart = supply(make_world(run)) - 5
+    yield "thermal_drift", [apart]
+    for lag_s in np.geomspace(0.1, 300, 25):
+        back = min(max(round(lag_s / run.plant.interval_s), 1), apart.size - 1)
+        yield "latency", [np.concatenate((np.full(back, apart[0]), apart[:-back]))]
+        keep, lagged = exp(-run.plant.interval_s / lag_s), apart.copy()
+        for k in range(1, apart.size):
+            lagged[k] = keep * lagged[k - 1] + (1 - keep) * apart[k]
+        yield "thermal_drift", [lagged]
+
+
+def noisy_rivals(run: Run, effect: Effect, whitened: Callable[[np.ndarray], np.ndarray]) -> Iterator[tuple[float, str]]:
+    """Yield what a noise that follows the level, or the clock, leaves of a bent scale y = x + b x^2.
+
+    Of a reading m + e, with m known from those before and e of variance S, the score of b is, in units of e/sqrt(S)
+    and ordered by Hermite's polynomials of it (independent of each other): He1 (m^2 - p + S)/sqrt(S), p what those
+    before tell of m^2; He2 2 m; He3 sqrt(S). A noise's own score is of He2 alone, so of that part it leaves what its
+    shape does not take, and nothing can be told of the rest.
+    """
+    plant, value = run.plant, calm(run)
+    root = exp(float(np.mean(np.log(spectrum(numbers(plant), plant)))) / 2)
+    x = value - value.mean()
+    m = x - root * whitened(x)
+    first = m**2 - x**2 + root * whitened(x**2) + root**2
+    taken = np.linalg.qr(np.column_stack([np.ones(plant.n), whitened(np.ones(plant.n))]))[0]
+    first = first - taken @ (taken.T @ first)
+    apart = float(np.sum((first / root) ** 2)) + 6 * plant.n * root**2
+    edges = np.linspace(0, plant.n, 21).astype(int)
+    at = np.arange(plant.n)
+    shapes_of = [("signal_dependent_noise", (m + value.mean()) ** 2)]
+    shapes_of += [
+        ("changing_noise", ((at >= begin) & (at < end)).astype(float))
+        for begin in edges[:-1]
+        for end in edges[1:]
+        if begin < end and end - begin < plant.n
+    ]
+    for name, shape in shapes_of:
+        columns = np.linalg.qr(np.column_stack([np.ones(plant.n), shape]))[0]
+        left = 2 * m - columns @ (columns.T @ (2 * m))
+        yield effect.size**2 / 2 * (apart + 2 * float(left @ left)), name
 
 
 def spectral_rivals(plant: Plant, effect: Effect) -> Iterator[tuple[float, str]]:

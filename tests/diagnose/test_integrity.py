@@ -98,6 +98,19 @@ def test_the_lattice_of_random_multiples_is_found_whatever_its_offset(step):
     assert find_lattice(values + step * rng.uniform(-0.5, 0.5, 2000)) == 0.0
 
 
+@pytest.mark.parametrize("period", [2, 3, 4, 5])
+def test_a_lattice_is_found_under_a_pattern_that_was_added_to_it(period):
+    """Of a pattern whose last phase alone is off by 0.23 of a step, half the steps between values are uneven."""
+    step = 1.2e-3
+    offset = 0.23 * step * (np.arange(N) % period == period - 1)
+    y = step * np.rint(clean(3) / step) + offset
+    (defect,) = check_raw(series(y), SD_V)
+
+    assert find_lattice(y) == 0.0
+    assert defect.cause == "quantisation"
+    assert defect.parameters["step_V"].value == pytest.approx(step, rel=1e-6)
+
+
 @pytest.mark.parametrize(("sign", "quantile"), [(1, 0.99), (-1, 0.99)])
 def test_a_clipped_extreme_is_found_with_its_level(sign, quantile):
     y = 1 + sign * (clean(6) - 1)

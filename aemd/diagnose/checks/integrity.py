@@ -31,6 +31,8 @@ _JITTER = 0.01
 follow is off by 3 % of its amplitude."""
 _DISTINCT = 0.9
 """Part of the values that may be distinct, at most, on a lattice."""
+_PATTERNS = (2, 3, 4, 5)
+"""Periods, readings, of what may have been added to a lattice."""
 _UNEVEN = 0.1
 _FITTING = 0.95
 _CLOCK = 1e-4
@@ -44,7 +46,7 @@ def check_raw(series: Series, innovation_sd_V: float) -> list[Defect]:
         series: the readings.
         innovation_sd_V: of the base model's one-step prediction, V.
     """
-    q_V = find_lattice(series.value_V[series.used])
+    q_V = find_lattice(series.value_V[series.used]) or lattice_within(series)
     band = dead_band(series, q_V, innovation_sd_V)
     clipped = saturation(series, q_V, innovation_sd_V)
     # What rests in the band rests at its level, and what is clipped at the range's end: neither is stuck.
@@ -116,6 +118,22 @@ def find_lattice(values: Floats) -> float:
     q = float(steps.sum() / multiples.sum())
     short = float(f"{q:.3g}")
     return short if abs(short - q) * float(multiples.sum()) < 0.1 * q else q
+
+
+def lattice_within(series: Series) -> float:
+    """Return the step of a lattice to which a pattern of some readings' period was added; 0 if there is none.
+
+    Together its phases are as many lattices beside each other, with uneven steps between; each alone is one, of the
+    same step.
+    """
+    values, slot = series.value_V[series.used], series.slot[series.used]
+    if np.unique(values).size > _DISTINCT * values.size:
+        return 0.0
+    for period in _PATTERNS:
+        steps = [find_lattice(values[slot % period == phase]) for phase in range(period)]
+        if 0 < max(steps) < (1 + _UNEVEN) * min(steps):
+            return float(np.median(steps))
+    return 0.0
 
 
 def _tie_probability(values: Floats, q_V: float, innovation_sd_V: float) -> float:

@@ -14,7 +14,7 @@ from aemd.diagnose.hypothesis import Term
 from aemd.diagnose.terms.lines import amplitude_cost
 from aemd.diagnose.terms.noise import ChangingNoise, HeavyTails, SignalDependentNoise, SwellingNoise
 from aemd.diagnose.terms.shapes import Nonlinearity
-from aemd.diagnose.terms.witnessed import SupplyCoupling
+from aemd.diagnose.terms.witnessed import SupplyCoupling, odds_against
 
 __all__ = ["check_moments"]
 
@@ -58,7 +58,8 @@ def _gains(fit: Fit) -> list[Term]:
     for name, values in sorted(fit.data.witnesses.items()):
         apart = values[used] - values[used].mean()
         slope = float(apart @ (squares - squares.mean())) / max(float(apart @ apart), 1e-300)
-        made.append(SupplyCoupling(name, slope / 2, amplitude_cost(1, fit.data.n)))
+        cost = amplitude_cost(1, fit.data.n) + odds_against("supply_coupling", name)
+        made.append(SupplyCoupling(name, slope / 2, cost))
     return made
 
 

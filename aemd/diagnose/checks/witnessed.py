@@ -14,7 +14,7 @@ from aemd.diagnose.fit import Fit, residuals
 from aemd.diagnose.given import Given
 from aemd.diagnose.hypothesis import Base, Data
 from aemd.diagnose.terms.lines import amplitude_cost
-from aemd.diagnose.terms.witnessed import Latency, SupplyCoupling, ThermalDrift, lagged
+from aemd.diagnose.terms.witnessed import Latency, SupplyCoupling, ThermalDrift, lagged, odds_against
 
 __all__ = ["check_witness"]
 
@@ -38,20 +38,29 @@ def check_witness(fit: Fit, name: str) -> list[Evidence]:
     data = fit.data
     witness = data.witnesses[name] - float(np.mean(data.witnesses[name]))
     one = amplitude_cost(1, data.n)
+    unusual = odds_against("thermal_drift", name)
     known = _has(fit, name)
     lags = [0.0] + [lag for lag in _LAGS_S if 2 * data.interval_s < lag < data.span_s / 5]
     through = [lagged(witness, data.step_s, lag) for lag in lags]
     at_lag, size = _best(fit, through)
     terms: list[ThermalDrift | Latency] = []
-    thermal = ThermalDrift(name, lags[at_lag], size, one + (one if lags[at_lag] else 0.0))
+    thermal = ThermalDrift(name, lags[at_lag], size, (2 if lags[at_lag] else 1) * one + unusual)
     gains = {"thermal_drift": _gained(fit, thermal)}
     terms.append(thermal)
     if lags[at_lag] == 0.0:
-        terms.append(ThermalDrift(name, 3 * data.interval_s, size, 2 * one))
+        terms.append(ThermalDrift(name, 3 * data.interval_s, size, 2 * one + unusual))
     delay, size, delays = _best_delay(fit, witness)
     if delay:
         terms.append(Latency(name, delay, size, known, one + log(delays)))
         gains["latency"] = _gained(fit, terms[-1])
+    # A gain multiplies what is predicted, and the innovation as well: both halves of its score.
+    reading = fit.predicted + data.origin_V / data.unit_V
+    score, strength = _slid_score(fit, fit.whitened(witness * reading), 2 * witness)
+    cost = one + odds_against("supply_coupling", name)
+    # The drift may have grown for it until nothing is left; then the offset that the witness brings tells the gain.
+    level = float(np.mean(reading[data.used]))
+    sizes = [score / max(strength, 1e-12), *([thermal.coefficient / level] if abs(level) > 1 else [])]
+    coupled = [SupplyCoupling(name, size, cost) for size in sizes]
     found = []
     for cause, trials in (("latency", delays), ("thermal_drift", len(lags))):
         if cause not in gains or (known and cause == "thermal_drift"):
@@ -66,16 +75,10 @@ def check_witness(fit: Fit, name: str) -> list[Evidence]:
                 observed=gains[cause],
                 low=0.0,
                 high=_FEW_TURNS * float(chi2.isf(0.025 / trials, 1)) / 2,
-                terms=tuple(terms) if p_value < 0.05 else (),
+                terms=(*terms, *coupled) if p_value < 0.05 else (),
             )
         )
-    # A gain multiplies what is predicted, and the innovation as well: both halves of its score.
-    reading = fit.predicted + data.origin_V / data.unit_V
-    score, size = _slid_score(fit, fit.whitened(witness * reading), 2 * witness)
     p_value = two_sided(score)
-    supply: tuple[SupplyCoupling, ...] = ()
-    if p_value < 0.05:
-        supply = (SupplyCoupling(name, score / max(size, 1e-12), one),)
     found.append(
         Evidence(
             check=f"residuals against {name} times the reading: score in deviations",
@@ -83,7 +86,7 @@ def check_witness(fit: Fit, name: str) -> list[Evidence]:
             observed=abs(score),
             low=0.03,
             high=2.24,
-            terms=supply,
+            terms=(*coupled, *(() if known else terms)) if p_value < 0.05 else (),
         )
     )
     return found

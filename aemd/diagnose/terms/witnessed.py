@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts
 
-__all__ = ["Latency", "SupplyCoupling", "ThermalDrift", "delayed", "lagged", "unit_of"]
+__all__ = ["Latency", "SupplyCoupling", "ThermalDrift", "delayed", "lagged", "odds_against", "unit_of"]
 
 Floats = NDArray[np.float64]
 
@@ -25,6 +25,9 @@ _UNITS = {
     "current": "A",
 }
 """Unit of a witness by what its name holds, as recordings and logs of them are named."""
+_SELDOM = log(4.0)
+"""What it costs a coupling to be of the other kind than its witness's unit says. Where the level does not move, gain
+and offset are the same readings, and only this tells them apart: four to one, so that the other stays in the set."""
 
 
 def unit_of(witness: str) -> str:
@@ -38,6 +41,18 @@ def unit_of(witness: str) -> str:
         if len(words) > 1 and words[-1] == suffix:
             return unit
     return next((unit for word, unit in _UNITS.items() if word in witness.lower()), "UNIT")
+
+
+def odds_against(cause: str, witness: str) -> float:
+    """Return what the unit of a witness says against a coupling, nats: a voltage scales, a temperature shifts.
+
+    >>> odds_against("thermal_drift", "supply_V") == odds_against("supply_coupling", "room_temperature") > 0
+    True
+    >>> odds_against("thermal_drift", "humidity"), odds_against("supply_coupling", "supply_V")
+    (0.0, 0.0)
+    """
+    unusual = {"thermal_drift": ("V",), "supply_coupling": ("C", "K")}
+    return _SELDOM if unit_of(witness) in unusual.get(cause, ()) else 0.0
 
 
 def delayed(values: Floats, t_s: Floats, lag_s: float) -> Floats:
