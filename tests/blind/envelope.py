@@ -1,12 +1,13 @@
 """What is hidden in which run: drawn from a salt that nobody knows before the key is opened.
 
-35 % clean (a third of them provocative), 40 % one effect of the catalogue, 10 % two, 10 % one that the catalogue does
-not have, 5 % one too small to be seen. Plant, length, rate, level, format, gaps and thermometer are drawn before, and
-apart from, what is hidden, so that none of them tells of it.
+A mix has so many envelopes of each group: clean ones (a third of them provocative), each mechanism at 1.25 times the
+amplitude of a clairvoyant and at other factors of it, two at once, one that the catalogue does not have, one too small
+to be seen, and one large enough to measure what knowing it is worth. Plant, length, rate, level, format, gaps and
+thermometer are drawn before, and apart from, what is hidden, so that none of them tells of it.
 """
 
 from dataclasses import dataclass, replace
-from math import pi, sqrt
+from math import exp, log, pi, sqrt
 
 import numpy as np
 
@@ -16,11 +17,13 @@ from tests.blind.plant import Effect, Plant, Run
 __all__ = [
     "BELOW_D",
     "FACTORS",
+    "LADDER",
     "OUTSIDE",
     "SINGLE",
     "Envelope",
+    "Mix",
+    "draw",
     "draw_effect",
-    "draw_envelope",
     "draw_ladder",
     "draw_plant",
 ]
@@ -28,7 +31,8 @@ __all__ = [
 FACTORS = (0.6, 0.8, 1.0, 1.25, 1.6)
 """Of the amplitude at which a clairvoyant detects in 95 %."""
 LADDER = 1.25
-LADDER_STREAM = 1 << 32  # apart from every envelope's number
+LADDER_STREAM = 1 << 32  # apart from the streams of the other groups
+LONG_SHARE = 0.15  # of the provocative plants; 20,000 to 100,000 readings are a day's work for a thousand of them
 BELOW_D = 1.5  # nats: nobody detects that at these levels
 
 SINGLE = (
@@ -68,62 +72,121 @@ OUTSIDE = ("ooc_packet", "ooc_bump", "ooc_echo", "ooc_gain_step", "ooc_saw", "oo
 DOUBLE = ("periodic_interference", "difference_noise", "changing_noise", "quantisation", "reading_pattern", "resonance")
 
 
+UNCOUNTED = tuple(cause for cause in SINGLE if KINDS[cause] != "counted")
+GAINFUL = (
+    "mains_alias",
+    "periodic_interference",
+    "wandering_line",
+    "reading_pattern",
+    "resonance",
+    "difference_noise",
+    "changing_noise",
+    "step",
+    "warmup_drift",
+)
+"""Of which tests/blind/oracle.py knows what the truth is worth."""
+GAIN_D = (60.0, 120.0)
+STREAMS = {"clean": 1, "single": 2, "double": 3, "outside": 4, "below": 5, "gain": 6}
+
+
 @dataclass(frozen=True)
 class Envelope:
     """One line of the key."""
 
     number: int
     group: str
-    """clean, provocative, single, double, outside, below, or ladder."""
+    """clean, provocative, ladder, single, double, outside, below, or gain."""
     run: Run
     suffix: str
     d_nats: tuple[float, ...] = ()
     """Of each effect; NaN where it is counted."""
     factor: float = 0.0
-    """Of the clairvoyant's amplitude; 0 where it is counted, or nothing is hidden."""
+    """Of the clairvoyant's amplitude; 0 where it is counted, or nothing is hidden, or it was sized by D alone."""
 
 
-def draw_envelope(salt: str, number: int) -> Envelope:
-    rng = np.random.default_rng([*salt.encode(), number])
-    group = str(rng.choice(["clean", "single", "double", "outside", "below"], p=[0.35, 0.4, 0.1, 0.1, 0.05]))
-    if group == "clean" and rng.random() < 1 / 3:
-        group = "provocative"
+@dataclass(frozen=True)
+class Mix:
+    """How many envelopes of each group."""
+
+    clean: int = 120
+    """A third of them provocative."""
+    rungs: int = 4
+    """Of each mechanism, at LADDER times the clairvoyant's amplitude."""
+    singles: int = 42
+    """Each mechanism in turn, at the other factors in turn."""
+    doubles: int = 12
+    outside: int = 14
+    below: int = 10
+    gains: int = 18
+
+    def tickets(self) -> list[tuple[str, int]]:
+        """Return the group and the number in it of every envelope."""
+        counts = {
+            "clean": self.clean,
+            "ladder": self.rungs * len(SINGLE),
+            "single": self.singles,
+            "double": self.doubles,
+            "outside": self.outside,
+            "below": self.below,
+            "gain": self.gains,
+        }
+        return [(group, number) for group, count in counts.items() for number in range(count)]
+
+
+def draw(salt: str, ticket: tuple[str, int]) -> Envelope:
+    """Return the envelope of one ticket of a mix; the same for the same salt and ticket."""
+    group, number = ticket
+    if group == "ladder":
+        return draw_ladder(salt, number)
+    rng = np.random.default_rng([*salt.encode(), STREAMS[group], number])
     suffix = ".csv" if rng.random() < 0.5 else ".mcap"
+    if group == "clean":
+        provocative = number % 3 == 2
+        run = Run(draw_plant(rng, provocative=provocative), int(rng.integers(2**62)))
+        return Envelope(number, "provocative" if provocative else "clean", run, suffix)
+    if group == "double":
+        return hide(rng, number, group, suffix, tuple(map(str, rng.choice(DOUBLE, 2, replace=False))), 2.0)
+    if group == "outside":
+        return hide(rng, number, group, suffix, (OUTSIDE[number % len(OUTSIDE)],), 2.0)
+    if group == "gain":
+        d = exp(rng.uniform(log(GAIN_D[0]), log(GAIN_D[1])))
+        return hide(rng, number, group, suffix, (GAINFUL[number % len(GAINFUL)],), 0.0, d)
+    cause = UNCOUNTED[number % len(UNCOUNTED)]
+    if group == "below":
+        return hide(rng, number, group, suffix, (cause,), 0.0, BELOW_D)
+    others = [factor for factor in FACTORS if factor != LADDER]
+    return hide(rng, number, group, suffix, (cause,), others[number // len(UNCOUNTED) % len(others)])
+
+
+def hide(
+    rng: np.random.Generator,
+    number: int,
+    group: str,
+    suffix: str,
+    causes: tuple[str, ...],
+    factor: float,
+    d_target: float = 0.0,
+) -> Envelope:
+    """Return an envelope with these effects of a factor of the clairvoyant's amplitude, or of `d_target` nats."""
     while True:  # until the plant that was drawn can carry what is to be hidden
-        run = Run(draw_plant(rng, provocative=group == "provocative"), int(rng.integers(2**62)))
-        if group in ("clean", "provocative"):
-            return Envelope(number, group, run, suffix)
-        factor = float(rng.choice(FACTORS))
-        if group == "below":
-            cause = str(rng.choice([name for name in SINGLE if KINDS[name] != "counted"]))
-            factor, effects = 0.0, [draw_effect(rng, run, cause, BELOW_D)]
-        elif group == "double":
-            factor = 2.0
-            effects = [draw_effect(rng, run, str(cause), factor) for cause in rng.choice(DOUBLE, 2, replace=False)]
-        else:
-            factor = 2.0 if group == "outside" else factor
-            effects = [draw_effect(rng, run, str(rng.choice(OUTSIDE if group == "outside" else SINGLE)), factor)]
-        hidden = [effect for effect in effects if effect is not None]
-        if any(effect.cause == "clock_error" for effect in hidden):
-            suffix = ".mcap"  # a table does not say how long its interval should be
-        if len(hidden) == len(effects):
+        plant = draw_plant(rng)
+        if group == "gain":  # the oracle knows nothing of shocks
+            plant = replace(plant, shocks_per_s=0.0)
+        run = Run(plant, int(rng.integers(2**62)))
+        hidden = [effect for cause in causes if (effect := draw_effect(rng, run, cause, factor, d_target))]
+        if len(hidden) == len(causes):
             d = tuple(d_nats(run, effect) for effect in hidden)
-            counted = any(KINDS[effect.cause] == "counted" for effect in hidden)
-            return Envelope(number, group, replace(run, effects=tuple(hidden)), suffix, d, 0.0 if counted else factor)
+            factor = 0.0 if any(KINDS[cause] == "counted" for cause in causes) else factor
+            return Envelope(number, group, replace(run, effects=tuple(hidden)), suffix, d, factor)
 
 
 def draw_ladder(salt: str, number: int) -> Envelope:
     """Return an envelope with one effect at LADDER times the clairvoyant's amplitude, each mechanism in turn."""
     rng = np.random.default_rng([*salt.encode(), LADDER_STREAM, number])
     cause = SINGLE[number % len(SINGLE)]
+    # A table does not say how long its interval should be.
     suffix = ".csv" if rng.random() < 0.5 and cause != "clock_error" else ".mcap"
-    while True:
-        run = Run(draw_plant(rng), int(rng.integers(2**62)))
-        effect = draw_effect(rng, run, cause, LADDER)
-        if effect is not None:
-            d = (d_nats(run, effect),)
-            factor = 0.0 if KINDS[cause] == "counted" else LADDER
-            return Envelope(number, "ladder", replace(run, effects=(effect,)), suffix, d, factor)
+    return hide(rng, number, "ladder", suffix, (cause,), LADDER)
 
 
 def draw_plant(rng: np.random.Generator, *, provocative: bool = False) -> Plant:
@@ -144,16 +207,28 @@ def draw_plant(rng: np.random.Generator, *, provocative: bool = False) -> Plant:
     )
     if rng.random() < 0.5:
         plant = with_shocks(rng, plant, per_minute=float(rng.uniform(0.3, 3)), loud=float(rng.uniform(4, 12)))
-    if provocative:
+    return provoked(rng, plant) if provocative else plant
+
+
+def provoked(rng: np.random.Generator, plant: Plant) -> Plant:
+    """Return a plant that is still in the model but far from the usual: numbers ten times less or more, few readings
+    or very many, gaps, and loud shocks one upon the other."""
+    length = rng.random()
+    if length < 0.6:
+        plant = replace(plant, n=int(rng.integers(500, 1001)))
+    elif length > 1 - LONG_SHARE:
+        plant = replace(plant, n=round(10 ** rng.uniform(4.3, 5.0)))
+    if rng.random() < 2 / 3:
         plant = with_shocks(rng, plant, per_minute=6.0, loud=20.0)
-        plant = replace(
-            plant,
-            n=int(rng.choice([500, 1000, 2000])),
-            lost_fraction=0.05,
-            signal_tau_s=float(rng.choice([0.1, 5.0])),
-            white_sd_V=unit_V * float(rng.choice([0.1, 3.0])),
-        )
-    return plant
+    if rng.random() < 2 / 3:
+        plant = replace(plant, lost_fraction=0.05)
+    tau, white, drift = rng.choice([0.1, 1.0, 10.0], 3)
+    return replace(
+        plant,
+        signal_tau_s=float(tau * plant.signal_tau_s),
+        white_sd_V=float(white * plant.white_sd_V),
+        drift_rate_V_per_rt_s=float(drift * plant.drift_rate_V_per_rt_s),
+    )
 
 
 def with_shocks(rng: np.random.Generator, plant: Plant, per_minute: float, loud: float) -> Plant:
@@ -161,8 +236,8 @@ def with_shocks(rng: np.random.Generator, plant: Plant, per_minute: float, loud:
     return replace(plant, shocks_per_s=per_minute / 60, shock_sd_V=loud * plant.signal_sd_V, shock_decay_s=decay_s)
 
 
-def draw_effect(rng: np.random.Generator, run: Run, cause: str, factor: float) -> Effect | None:
-    """Return an effect of `factor` times the clairvoyant's amplitude, or of BELOW_D nats where that is the factor.
+def draw_effect(rng: np.random.Generator, run: Run, cause: str, factor: float, d_target: float = 0.0) -> Effect | None:
+    """Return an effect of `factor` times the clairvoyant's amplitude, or of `d_target` nats where that is given.
 
     None where this plant cannot carry it: no shocks, no thermometer, or no size that reaches so far.
     """
@@ -179,8 +254,7 @@ def draw_effect(rng: np.random.Generator, run: Run, cause: str, factor: float) -
         low, high = COUNTED[cause]
         size = 10 ** rng.uniform(np.log10(low), np.log10(high)) * (unit_V if cause in IN_VOLTS else 1.0)
         return Effect(cause, size, shape)
-    d95 = clairvoyant_d95(cause, plant.n)
-    target = BELOW_D if factor == BELOW_D else factor**2 * d95
+    target = d_target or factor**2 * clairvoyant_d95(cause, plant.n)
     low, high = RANGES.get(cause, (1e-4 * unit_V, 1e3 * unit_V))
     if cause == "nonlinearity":
         low, high = 1e-4 / unit_V, 1 / unit_V

@@ -11,7 +11,19 @@ from math import ceil, exp, pi, sqrt
 
 import numpy as np
 
-from tests.blind.plant import Effect, Record, Run, World, lose, make_world, markov, shape_of_shock, supply, thermometer
+from tests.blind.plant import (
+    FORGOTTEN,
+    Effect,
+    Record,
+    Run,
+    World,
+    add_shock,
+    lose,
+    make_world,
+    markov,
+    supply,
+    thermometer,
+)
 
 __all__ = ["AFTERWARDS", "AT_INPUT", "NOISE", "make_record", "template"]
 
@@ -28,7 +40,7 @@ def make_record(run: Run) -> Record:
     )
     fine += markov(world.rng("drift"), world.t.size, plant.step_s, plant.drift_tau_s, plant.drift_rate_V_per_rt_s)
     for time_s, amplitude_V in world.shocks:
-        fine += shape_of_shock(world, time_s, amplitude_V)
+        add_shock(world, fine, time_s, amplitude_V)
     for effect in run.effects:
         if effect.cause in AT_INPUT:
             fine += effect.size * AT_INPUT[effect.cause](world, effect.shape)
@@ -124,8 +136,10 @@ def ring_down(world: World, shape: Mapping[str, float]) -> np.ndarray:
     """A damped sine after each shock, in amplitudes of the shock."""
     ringing = np.zeros(world.t.size)
     for time_s, amplitude_V in world.shocks:
-        since = np.maximum(world.t - time_s, 0)
-        ringing += amplitude_V * np.exp(-since / shape["decay_s"]) * np.sin(2 * pi * shape["frequency_hz"] * since)
+        first, last = np.searchsorted(world.t, (time_s, time_s + FORGOTTEN * shape["decay_s"]))
+        since = world.t[first:last] - time_s
+        wave = np.sin(2 * pi * shape["frequency_hz"] * since)
+        ringing[first:last] += amplitude_V * np.exp(-since / shape["decay_s"]) * wave
     return ringing
 
 

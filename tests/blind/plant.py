@@ -10,20 +10,24 @@ from math import ceil, exp, inf, pi, sqrt
 import numpy as np
 
 __all__ = [
+    "FORGOTTEN",
     "Effect",
     "Plant",
     "Record",
     "Run",
     "World",
+    "add_shock",
     "lose",
     "make_world",
     "markov",
-    "shape_of_shock",
     "supply",
     "thermometer",
 ]
 
 BLOCK = 256  # points over which a recursion is solved at once; e^(256 steps/tau) stays far from overflow
+
+
+FORGOTTEN = 40.0  # decays after which of the loudest shock less is left than a number's last digit
 
 
 @dataclass(frozen=True)
@@ -148,9 +152,11 @@ def markov(
     return np.real(driven.ravel()[:n])
 
 
-def shape_of_shock(world: World, time_s: float, amplitude_V: float) -> np.ndarray:
-    since = world.t - time_s
-    return np.where(since >= 0, amplitude_V * np.exp(-np.maximum(since, 0) / world.plant.shock_decay_s), 0.0)
+def add_shock(world: World, fine: np.ndarray, time_s: float, amplitude_V: float) -> None:
+    """Add a shock to a history on the grid, up to where nothing of it is left."""
+    decay_s = world.plant.shock_decay_s
+    first, last = np.searchsorted(world.t, (time_s, time_s + FORGOTTEN * decay_s))
+    fine[first:last] += amplitude_V * np.exp(-(world.t[first:last] - time_s) / decay_s)
 
 
 def thermometer(world: World) -> np.ndarray:

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from aemd.record.reader import Recording
 from tests.blind.certificate import KINDS, clairvoyant_d95, d_nats, numbers, size_for, spectrum, turns, whiten
-from tests.blind.envelope import OUTSIDE, RANGES, SINGLE, draw_envelope, draw_plant, draw_shape
+from tests.blind.envelope import OUTSIDE, RANGES, SINGLE, Mix, draw, draw_plant, draw_shape
 from tests.blind.files import START_NS, write_csv, write_mcap
 from tests.blind.injector import AFTERWARDS, AT_INPUT, NOISE, make_record, template
 from tests.blind.plant import Effect, Plant, Run, markov
@@ -232,11 +232,21 @@ def test_a_gain_that_flickers_multiplies_what_is_counted_from_zero_volts():
     assert np.std(with_it - without) == pytest.approx(5e-4, rel=0.08)
 
 
-def test_an_envelope_depends_on_its_salt_and_number_alone():
-    first, again, other = draw_envelope("salt", 1), draw_envelope("salt", 1), draw_envelope("pepper", 1)
+def test_an_envelope_depends_on_its_salt_and_ticket_alone():
+    tickets = Mix(clean=1, rungs=0, singles=1, doubles=0, outside=0, below=0, gains=0).tickets()
+    first, again = ([draw("salt", ticket) for ticket in order] for order in (tickets, tickets[::-1]))
+    other = draw("pepper", tickets[0])
 
-    assert repr(first) == repr(again)  # NaN is not equal to itself
-    assert first.run.seed != other.run.seed
+    assert [envelope.group for envelope in first] == ["clean", "single"]
+    assert repr(first) == repr(again[::-1])  # NaN is not equal to itself
+    assert first[0].run.seed != other.run.seed
+
+
+def test_a_mix_has_as_many_envelopes_as_it_says():
+    groups = [group for group, _ in Mix(5, 2, 3, 4, 6, 7, 8).tickets()]
+
+    assert len(groups) == len(set(Mix(5, 2, 3, 4, 6, 7, 8).tickets())) == 5 + 2 * len(SINGLE) + 3 + 4 + 6 + 7 + 8
+    assert groups.count("ladder") == 2 * len(SINGLE)
 
 
 def test_every_cause_that_is_hidden_can_be_made_and_certified():
