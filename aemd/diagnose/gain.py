@@ -73,7 +73,11 @@ def block_of(data: Data, term: Term) -> float:
 
     A minute, but no more than a third of what is local, or the one block that holds it has nobody to learn from.
     """
-    local_s = {"step": 3.0, "warmup_drift": getattr(term, "tau_s", inf) / 3}
+    local_s = {
+        "step": 3.0,
+        "warmup_drift": getattr(term, "tau_s", inf) / 3,
+        "ring_down": getattr(term, "decay_s", inf) / 3,  # the loudest shock's ring is often most of all
+    }
     block_s = min(_BLOCK_S, data.span_s / _LEAST_BLOCKS, local_s.get(term.cause, inf))
     return max(block_s, 4 * data.interval_s)
 

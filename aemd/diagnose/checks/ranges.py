@@ -3,18 +3,31 @@
 from math import exp, log, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr
 from scipy.stats import chi2
 
 from aemd.diagnose.evidence import Evidence, bonferroni
 from aemd.diagnose.fit import Fit, densities
+from aemd.diagnose.hypothesis import Base
+from aemd.diagnose.kernels import whiten
 from aemd.diagnose.terms.lines import amplitude_cost
-from aemd.diagnose.terms.ranges import RangeOffset, RangeSwitching, in_wide_range
+from aemd.diagnose.terms.ranges import RangeOffset, RangeOverlap, RangeSwitching, in_wide_range
 
-__all__ = ["check_hole", "check_range_switching"]
+__all__ = ["check_hole", "check_overlap", "check_range_switching"]
+
+Floats = NDArray[np.float64]
 
 _PARTS = np.linspace(0.05, 0.95, 19)
 """Of the readings, below the threshold that is tried."""
+_EDGES = np.linspace(0.015, 0.985, 64)
+"""Of the readings, below the edges of the stretch that two ranges are to share."""
+_FINE = 12
+"""Places within two such steps of an edge that is found."""
+_LONG = 30_000
+"""Readings that are searched for an overlap; of a longer record, the first so many."""
+_WIDEST = 2.0
+"""Deviations of the innovation that an overlap may be wide."""
 _WORTH = 6.0
 """Nats that closing a hole must add: a dead band and a lattice leave holes too, and closing those moves readings away
 from where they were expected."""
@@ -89,6 +102,81 @@ def check_hole(fit: Fit) -> Evidence:
     if np.count_nonzero(~used) > expected / 4:  # readings that were kept out, such as a dead band's, may lie there
         p_value, terms = 1.0, ()
     return _hole(p_value, expected, data.n, terms)
+
+
+def check_overlap(fit: Fit) -> Evidence:
+    """Look for a stretch of values that readings of two ranges share, as it has twice as many, and both were moved.
+
+    Moved apart by half the stretch at each of its edges, readings are those of the base again. What the filter leaves
+    of a step at one value is known once for each value, and makes the likelihood of all pairs of edges by sums. The
+    likelihood ratio of the best pair, by the exact filter, exceeds x with a probability of at most the number of pairs
+    over x, since under the base each has a mean of one or less (Ville 1939).
+    """
+    data = fit.data
+    nothing = _overlap(1.0, 0.0, 1.0, ())
+    if data.low is not None or not isinstance(fit.terms[0], Base) or fit.y is not data.y:
+        return nothing
+    if any(isinstance(term, RangeOffset | RangeOverlap) for term in fit.terms):
+        return nothing
+    edges = np.unique(np.quantile(data.y[data.used], _EDGES))
+    if edges.size < _EDGES.size:  # a lattice
+        return nothing
+    low, high, worth = _best_pair(fit, edges)
+    trials = edges.size**2 / 2 * (_FINE / 4) ** 2
+    if worth <= 0:
+        return nothing
+    step = 2 * float(np.diff(edges)[np.searchsorted(edges[:-1], [low, high]).clip(0, edges.size - 2)].max())
+    near = np.unique([edge + step * shift for edge in (low, high) for shift in np.linspace(-1, 1, _FINE)])
+    finer = _best_pair(fit, near)
+    low, high = finer[:2] if finer[2] > worth else (low, high)
+    cost = log(trials)
+    term = RangeOverlap(low, high, (low + high) / 2 * data.unit_V + data.origin_V > 0, _usual_variance(fit), cost)
+    theta = fit.theta.copy()
+    theta[5] += float(term.apart(data.y)[data.used].mean())
+    gained = float(densities([*fit.terms, term], theta, data).sum()) - fit.log_likelihood
+    p_value = min(1.0, trials * exp(-min(max(gained, 0.0), 650.0)))
+    return _overlap(p_value, gained, trials, (term,) if p_value < 0.01 else ())
+
+
+def _best_pair(fit: Fit, edges: Floats) -> tuple[float, float, float]:
+    """Return the two edges that explain most, the lower first, and the nats."""
+    some = min(fit.data.y.size, _LONG)
+    data, z = fit.data.first(some), np.where(fit.data.used, fit.z, 0.0)[:some]
+    scale = np.where(data.used, 1 / np.sqrt(fit.variance[:some]), 0.0)
+
+    def left(shape: Floats) -> Floats:
+        return scale * whiten(shape, data.step_s, fit.states, fit.gains[:some], data.used)
+
+    level = left(np.ones(some))
+    level /= np.sqrt(max(float(level @ level), 1e-300))
+    steps = np.array([left((data.y >= edge).astype(np.float64)) for edge in edges])
+    steps -= np.outer(steps @ level, level)
+    below = np.searchsorted(np.sort(data.y[data.used]), edges)
+    shared = below[None, :] - below[:, None]
+    apart = edges[None, :] - edges[:, None]
+    along, together = steps @ z, steps @ steps.T
+    square = np.diag(together)
+    variance = _usual_variance(fit)
+    nats = shared * (log(2) - apart**2 / (8 * variance)) - 0.5 * apart * (along[:, None] + along[None, :])
+    nats -= 0.125 * apart**2 * (square[:, None] + square[None, :] + 2 * together)
+    nats[(apart <= 0) | (apart > _WIDEST * sqrt(variance))] = -np.inf
+    low, high = np.unravel_index(int(np.argmax(nats)), nats.shape)
+    return float(edges[low]), float(edges[high]), float(nats[low, high])
+
+
+def _usual_variance(fit: Fit) -> float:
+    return float(np.median(fit.variance[fit.data.used]))
+
+
+def _overlap(p_value: float, gained: float, trials: float, terms: tuple[RangeOverlap, ...]) -> Evidence:
+    return Evidence(
+        check="readings that two ranges share, moved apart: nats",
+        p_value=p_value,
+        observed=gained,
+        low=-log(max(trials, 1.0)),
+        high=log(max(trials, 1.0) / 0.025),
+        terms=terms,
+    )
 
 
 def _hole(p_value: float, expected: float, n: int, terms: tuple[RangeOffset, ...]) -> Evidence:

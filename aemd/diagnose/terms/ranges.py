@@ -1,15 +1,15 @@
 """What a range brings with it: an offset and a noise of its own, wherever the reading before lay in it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp, log
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts
+from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts, Seen
 
-__all__ = ["RangeOffset", "RangeSwitching", "in_wide_range", "ranges_of"]
+__all__ = ["RangeOffset", "RangeOverlap", "RangeSwitching", "in_wide_range", "ranges_of"]
 
 Floats = NDArray[np.float64]
 
@@ -113,4 +113,64 @@ class RangeOffset:
         return [
             Parameter("level_V", "V", lambda _: level_V),
             Parameter("offset_V", "V", lambda v: sign * v[0] * width_V, positive=False),
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class RangeOverlap:
+    """An offset towards the other range, so that two readings of the input share a value; without free numbers.
+
+    Between `low` and `high` a reading y was taken in the lower range, or in the upper one and moved down by their
+    distance d. Its density is the sum of those of both, never below that of y + d/2 times 2 e^(-d^2/8s), s being the
+    variance of the innovation: the mean of two logarithms, neither more curved than 1/s. That bound is taken, so the
+    readings have at most a density; it is close where d is small beside what the past leaves open.
+
+    Edges and offset are those the check found, as the likelihood has a step wherever an edge passes a reading.
+    """
+
+    low: float
+    """From here on readings of both ranges are seen, in units of the readings from the origin."""
+    high: float
+    """From here on readings of the upper range alone are."""
+    upwards: bool
+    """Whether the upper range is the wider one: its readings are farther from 0 V."""
+    variance: float
+    """Of the innovation, in squared units of the readings."""
+    cost_nats: float
+    cause: str = "range_switching"
+
+    @property
+    def start(self) -> Floats:
+        """None to begin with."""
+        return np.empty(0)
+
+    @property
+    def bounds(self) -> Sequence[Bounds]:
+        """None."""
+        return []
+
+    def apart(self, y: Floats) -> Floats:
+        """Return how far each reading is moved, shape (n,)."""
+        moved = 0.5 * (self.high - self.low) * ((y >= self.low).astype(np.float64) + (y >= self.high))
+        return moved if self.upwards else moved - (self.high - self.low)
+
+    def add(self, theta: Floats, data: Data, parts: Parts) -> None:  # noqa: ARG002 - it has no free numbers
+        """Move the ranges apart before anything else is undone."""
+        after = parts.undo
+
+        def undo(seen: Seen) -> Seen:
+            shared = data.used & (seen.y >= self.low) & (seen.y < self.high)
+            gained = np.where(shared, log(2) - (self.high - self.low) ** 2 / (8 * self.variance), 0.0)
+            parted = replace(seen, y=seen.y + self.apart(seen.y), log_slope=seen.log_slope + gained)
+            return parted if after is None else after(parted)
+
+        parts.undo = undo
+
+    def parameters(self, data: Data) -> Sequence[Parameter]:
+        """Return the magnitude from which the wider range is taken, and its offset."""
+        edge, sign = (self.high, -1.0) if self.upwards else (self.low, 1.0)
+        level_V, width_V = abs(edge * data.unit_V + data.origin_V), (self.high - self.low) * data.unit_V
+        return [
+            Parameter("level_V", "V", lambda _: level_V),
+            Parameter("offset_V", "V", lambda _: sign * width_V, positive=False),
         ]
