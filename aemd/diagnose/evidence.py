@@ -34,6 +34,8 @@ class Evidence:
     high: float
     terms: tuple[Term, ...] = ()
     """What could explain it, with starts from the statistic; empty where the check is for anything."""
+    looks: str = ""
+    """Of a check for anything: where it is and what it looks like, in words that follow `Unexplained:`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,10 @@ from aemd.diagnose.intervals import covariance, describe
 from aemd.diagnose.naming import NOT_WHITE, Named, is_coloured
 from aemd.diagnose.result import Finding, Gain
 from aemd.diagnose.search import LEAST_NATS, Searched
+from aemd.diagnose.terms.courses import BreathingNoise
 from aemd.diagnose.terms.lines import Sines
+from aemd.diagnose.terms.noise import ChangingNoise, SwellingNoise
+from aemd.diagnose.terms.shapes import Hump
 from aemd.diagnose.terms.stated import OtherFigures
 
 __all__ = ["Judged", "judge", "judge_all"]
@@ -42,6 +45,13 @@ _BROAD = (
     "warmup_drift",
 )
 """Mechanisms that many a shape passes for."""
+_OUTSIDE = {
+    Hump: ("a hump that comes once", "step"),
+    ChangingNoise: ("all that varies is larger or smaller for a while", "changing_noise"),
+    SwellingNoise: ("noise that swells or fades once", "changing_noise"),
+    BreathingNoise: ("noise that swells and fades evenly", "changing_noise"),
+}
+"""What of no catalogue can be fitted, in words, and what of the catalogue is nearest."""
 _HUM = "run the source or the meter from a battery, or move the cable: hum of the mains goes or changes its size"
 _OTHER_FIGURES = "state these figures and diagnose again; then ask what has changed since the old ones were measured"
 
@@ -101,6 +111,10 @@ def judge(finding: Finding, found: Named) -> tuple[Finding, bool]:
         why = f"which fits but does not predict held-out blocks ({gain.nats_total:+.1f} nats)"
     elif lag is not None and lag.value < 0:
         why = f"by {-lag.value:.3g} s the wrong way: nothing follows what has not happened yet"
+    elif found.term.cause == "unexplained" and type(found.term) in _OUTSIDE:
+        what, nearest = _OUTSIDE[type(found.term)]
+        nearest = found.names[0] if found.names[0] in COVERED else nearest
+        return _nameless(finding, f"{what}, most like {nearest.replace('_', ' ')}; record again to see it twice"), True
     elif found.refused:
         return _nameless(finding, f"looks most like {name}, {found.refused}; record again to see it twice"), True
     else:
@@ -292,11 +306,13 @@ def _nameless(finding: Finding, text: str) -> Finding:
 
 def _unexplained(left: list[Evidence], fit: Fit, stopped: str) -> Finding:
     nearest = next((term.cause for item in left for term in item.terms), "none of the catalogue")
-    what = f"{left[0].check.split(':')[0].split(', in ')[0]} looks most like {nearest.replace('_', ' ')}, which"
+    what = f"{left[0].check.split(':')[0].split(', in ')[0]} looks most like {nearest.replace('_', ' ')}"
+    # A check for anything says where it is, even where another is more surprised.
+    looks = next((item.looks for item in left if item.looks), "")
     if stopped:
-        text = f"{what} was not fitted: {stopped}; mend what is named above and record again"
+        text = f"{looks or what}, which was not fitted: {stopped}; mend what is named above and record again"
     else:
-        text = f"{what} does not explain it; record again to see it twice"
+        text = f"{looks or what + ', which does not explain it'}; record again to see it twice"
     return Finding(
         cause="unexplained",
         names=("unexplained",),

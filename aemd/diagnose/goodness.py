@@ -24,7 +24,7 @@ from aemd.diagnose.terms.events import PeriodicGlitch
 from aemd.diagnose.terms.lines import Sines
 from aemd.diagnose.terms.noise import Resonance
 
-__all__ = ["FITS", "check_steadiness", "leaves_a_line", "leaves_a_wave", "share_a_period", "why_unfit"]
+__all__ = ["FITS", "check_steadiness", "course", "leaves_a_line", "leaves_a_wave", "share_a_period", "why_unfit"]
 
 Floats = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ def check_steadiness(fit: Fit) -> Evidence:
         past = np.concatenate(([0.0], lfilter([1.0], [1.0, -kept], z)[:-1]))[used]
         series.append((z[used] * past, past**2))
     tries = [
-        (_course(values, weights, count), count)
+        (course(values, weights, count), count)
         for values, weights in series
         for count in _COSINES
         if count * _LEAST <= fit.data.n
@@ -94,7 +94,7 @@ def check_steadiness(fit: Fit) -> Evidence:
     )
 
 
-def _course(values: Floats, weights: Floats, count: int) -> tuple[float, float]:
+def course(values: Floats, weights: Floats, count: int) -> tuple[float, float]:
     """Return chi-square of `count` cosines in time, of values with these variances, and its p; their mean is free."""
     turn = np.pi * (np.arange(values.size) + 0.5) / values.size
     waves = np.cos(np.outer(np.arange(1, count + 1), turn))
