@@ -44,8 +44,12 @@ _EVEN = ("mains_alias", "periodic_interference", "wandering_line", "resonance", 
 _LINKED = ("nonlinearity", "signal_dependent_noise", "smoothing")
 """Mechanisms that act as much as the input moves, which may be uneven."""
 _MOST_IN_ONE = 0.7
-_CROWDED = ("nonlinearity", "signal_dependent_noise", "smoothing", "ring_down", "shock_law")
+_CROWDED = ("nonlinearity", "signal_dependent_noise", "smoothing", "shock_law")
 _MOST_IN_A_STRETCH = 0.5
+_LEAST_BESIDE = 2.5
+"""Nats that the rings of all shocks must add where the loudest of them is not: its share is that of its square, which
+may be most, and waves laid after shocks that set off none cost what they should have added."""
+_MOST_OF_A_RING = 0.92
 _LEAST_TURNS = 3.0
 """Of what is said to come again, in a record."""
 _LEAST_TO_COLOUR = 20
@@ -136,6 +140,8 @@ def _does_not_fit(before: Fit, after: Fit) -> str:
         return "which would act all the time, and this does not"
     if term.cause in _CROWDED and _share_of_the_best_stretch(before, after) > _MOST_IN_A_STRETCH:
         return "which would show wherever the readings move, and this shows in one place"
+    if term.cause == "ring_down" and _rings_once(before, after):
+        return "which would follow every shock, and this shows in one place"
     if isinstance(term, Sines):
         turns = fold(term.harmonics[0] * (term.frequency_hz + theta[0] / span_s), 1 / after.data.interval_s) * span_s
         if turns < _LEAST_TURNS:
@@ -151,8 +157,19 @@ def _does_not_fit(before: Fit, after: Fit) -> str:
 
 def _share_of_the_best_stretch(before: Fit, after: Fit) -> float:
     """Return the share of a gain that comes from the stretch of a twentieth of the record where it is largest."""
+    total, best = _stretches(before, after)
+    return best / max(total, 1e-9)
+
+
+def _rings_once(before: Fit, after: Fit) -> bool:
+    """Return whether the rings of all shocks but those of this stretch add nothing to speak of."""
+    total, best = _stretches(before, after)
+    return total - best < _LEAST_BESIDE or best > _MOST_OF_A_RING * total
+
+
+def _stretches(before: Fit, after: Fit) -> tuple[float, float]:
     gained = np.array([part.sum() for part in np.array_split((after.each - before.each)[after.data.used], 40)])
-    return float((gained[1:] + gained[:-1]).max() / max(float(gained.sum()), 1e-9))
+    return float(gained.sum()), float((gained[1:] + gained[:-1]).max())
 
 
 def _is_some_lines(before: Fit, after: Fit, term: Resonance) -> bool:

@@ -29,7 +29,7 @@ from aemd.diagnose.terms.noise import (
     SignalDependentNoise,
     Smoothing,
 )
-from aemd.diagnose.terms.ranges import RangeOffset, RangeSwitching
+from aemd.diagnose.terms.ranges import RangeOffset, RangeOverlap, RangeSwitching
 from aemd.diagnose.terms.shapes import Nonlinearity, ReadingPattern, Step, WarmUp
 from aemd.diagnose.terms.stated import OtherFigures
 from aemd.diagnose.terms.witnessed import Latency, SupplyCoupling, ThermalDrift
@@ -288,6 +288,11 @@ def _range_offset(term: RangeOffset, v: Floats, fit: Fit, _: float) -> Made:
     return [], [model.RangeSwitching(threshold_V=abs(edge * unit + fit.data.origin_V) or 1e-12, offset_V=sign * offset)]
 
 
+def _range_overlap(term: RangeOverlap, _: Floats, fit: Fit, __: float) -> Made:
+    level_V, offset_V = (item.value(np.empty(0)) for item in term.parameters(fit.data))
+    return [], [model.RangeSwitching(threshold_V=level_V or 1e-12, offset_V=offset_V)]
+
+
 def _range(term: RangeSwitching, v: Floats, fit: Fit, _: float) -> Made:
     unit = fit.data.unit_V
     return [], [
@@ -355,5 +360,6 @@ _MAKERS: Mapping[type, Callable[[Any, Floats, Fit, float], Made]] = {
     PeriodicGlitch: _glitch,
     Popcorn: _popcorn,
     RangeOffset: _range_offset,
+    RangeOverlap: _range_overlap,
     RangeSwitching: _range,
 }

@@ -6,9 +6,10 @@ from aemd.diagnose.checks.folding import check_periodic_glitch
 from aemd.diagnose.checks.moments import check_moments
 from aemd.diagnose.checks.omnibus import check_course, check_echo, check_hump
 from aemd.diagnose.checks.overall import check_variance
-from aemd.diagnose.checks.ranges import check_hole, check_range_switching
+from aemd.diagnose.checks.ranges import check_hole, check_overlap, check_range_switching
+from aemd.diagnose.checks.rings import check_ring_down
 from aemd.diagnose.checks.shapes import check_pattern, check_step, check_warm_up
-from aemd.diagnose.checks.shocks import check_ring_down, check_shock_law
+from aemd.diagnose.checks.shocks import check_shock_law
 from aemd.diagnose.checks.spectrum import check_lines, make_periodogram
 from aemd.diagnose.checks.telegraph import check_popcorn
 from aemd.diagnose.checks.tracks import check_wandering_line
@@ -34,6 +35,7 @@ def check_all(fit: Fit, line_frequency_hz: float | None) -> list[Evidence]:
         check_step(fit),
         check_warm_up(fit),
         check_hole(fit),
+        check_overlap(fit),
         check_range_switching(fit),
         *check_moments(fit),
         *check_variance(fit),
