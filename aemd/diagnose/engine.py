@@ -95,7 +95,7 @@ def criticise(
         base_model=_tables(base, series.aperture_s, spread if base is fit else covariance(base)),
         extended_model=_tables(fit, series.aperture_s, spread),
         allan=compare_allan(base, fit),
-        promise=None if fit is base else promise(base, fit, spread, series.aperture_s),
+        promise=promise(base, fit, spread, series.aperture_s) if len(fit.terms) > len(base.terms) else None,
         left_out=series.left_out,
         path=series.path,
         seconds=time.perf_counter() - begun,

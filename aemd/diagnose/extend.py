@@ -37,8 +37,12 @@ def write_extended(diagnosis: Diagnosis, path: Path, *, extended: bool = True) -
     tables = diagnosis.extended_model if extended else diagnosis.base_model
     made = model_of(diagnosis, extended=extended)
     interval_s = 1 / diagnosis.rate_hz
+    taken = not extended or diagnosis.promise is None or diagnosis.promise.taken
     choice, notes = estimator_for(
-        made, interval_s=interval_s, aperture_s=tables["aperture_s"], span_s=diagnosis.n * interval_s
+        made if taken else model_of(diagnosis, extended=False),
+        interval_s=interval_s,
+        aperture_s=tables["aperture_s"],
+        span_s=diagnosis.n * interval_s,
     )
     text = [f"# Found in {Path(diagnosis.path).name} by `aemd diagnose`: {diagnosis.verdict.replace('_', ' ')}.\n"]
     text += [f"# In the readings, but without a term here: {cause}.\n" for cause in tables["without_term"]]

@@ -33,6 +33,10 @@ _LONGEST = 6000
 """Readings of each record that is drawn."""
 _SETTLING = 0.06
 """Part of a record in which an estimator may settle."""
+_OPEN = 20.0
+"""From the lower to the upper end of what is likely: a promise as wide as that is none."""
+_NO_BETTER = 0.99
+"""Ratio of errors from which they are the same."""
 _FAR = 2.5
 """Standard deviations that a figure is drawn off: what the fit leaves open is a normal law only that far."""
 
@@ -70,11 +74,15 @@ def _try(base: Fit, extended: Fit, spread: Floats, aperture_s: float) -> Promise
     errors_V, nats = np.array([each for each, _ in tried]), np.array([each for _, each in tried])
     if not (np.isfinite(errors_V).all() and np.isfinite(nats).all() and (errors_V > 0).all()):
         return None
+    ratio, gain = np.exp(_further(np.log(errors_V[:, 1] / errors_V[:, 0]))), _further(nats)
+    if ratio[2] > _OPEN * ratio[1]:
+        return None
+    # An estimator that knows only half of what was found may do worse than one that knows nothing of it.
+    better = bool(ratio[0] < _NO_BETTER or gain[0] > 0)
     before_V, after_V = (float(value) for value in np.sqrt(np.mean(errors_V**2, axis=0)))
-    ratio, low, high = np.exp(_further(np.log(errors_V[:, 1] / errors_V[:, 0])))
-    return Promise(
-        before_V, after_V, Likely(float(ratio), float(low), float(high)), Likely(*_further(nats).tolist()), n
-    )
+    if not better:
+        after_V, ratio, gain = before_V, np.ones(3), np.zeros(3)
+    return Promise(before_V, after_V, Likely(*ratio.tolist()), Likely(*gain.tolist()), n, better)
 
 
 def _drawn(fit: Fit, spread: Floats, aperture_s: float, interval_s: float) -> Iterator[Model]:

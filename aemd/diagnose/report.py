@@ -52,6 +52,8 @@ def format_promise(promise: Promise) -> str:
 
     Ratios have two digits after the point: they are of a few drawn records.
     """
+    if not promise.taken:
+        return "No estimator here has a place for what was found: with -o it stays the one of the base model."
     before, after = (_engineer(error_V, "V", 3) for error_V in (promise.error_before_V, promise.error_after_V))
     ratio = promise.ratio
     return (

@@ -100,6 +100,8 @@ class Promise:
     """By which the estimator's own prediction of each reading becomes more probable."""
     readings: int
     """Of the record."""
+    taken: bool = True
+    """Whether the estimator takes it up; else it has no place for what was found, and the base's does as well."""
 
 
 @dataclass(frozen=True, slots=True)

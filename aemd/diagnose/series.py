@@ -30,6 +30,11 @@ _USUAL_APERTURE_S = 0.02
 MOST_READINGS = 1_400_000
 """26 hours at 15 readings/s: of a longer record the beginning is judged, and the report says so. Each fit goes through
 all readings some hundred times and holds several arrays of them, so time and memory would grow with the record."""
+_LARGEST = 1e100
+"""Of a reading: a square of it is a float still."""
+_FAR_OUT = 1e12
+"""Typical deviations: no meter has more digits, and a sum with the others would hold none of them."""
+_TWO, _MANY = 2, 1000
 _ON_GRID = 0.2
 """Intervals from a whole multiple that a step may be stamped off, and still be that multiple."""
 _NEIGHBOURS = 9
@@ -160,6 +165,7 @@ def _from_recording(path: Path, made: Path, most: int, *, numbered: bool) -> Ser
         raise RecordingError(f"{path}: only {usable} of {readings.size} readings have a value; too few to judge by")
     if np.nanmin(values) == np.nanmax(values):
         raise RecordingError(f"{path}: every reading is {np.nanmax(values):g}; a constant has nothing to explain")
+    _check_size(path, values)
     t_ns = readings["t_ns"]
     if np.any(np.diff(t_ns) <= 0):
         row = int(np.argmax(np.diff(t_ns) <= 0)) + 2
@@ -195,6 +201,28 @@ def _from_recording(path: Path, made: Path, most: int, *, numbered: bool) -> Ser
         witnesses=witnesses,
         left_out=left_out,
     )
+
+
+def _check_size(path: Path, values: Floats) -> None:
+    """Refuse numbers that leave nothing to judge: too large to be squared, or beside which the others do not vary.
+
+    Raises:
+        RecordingError: there is one.
+    """
+    there = values[np.isfinite(values)]
+    sizes = np.abs(values - np.median(there))
+    row = int(np.nanargmax(sizes))
+    typical = float(np.median(np.abs(there - np.median(there))))
+    place = f"{path}: reading {row + 1} is {values[row]:g}"
+    if sizes[row] > _LARGEST or np.abs(there).max() > _LARGEST:
+        raise RecordingError(f"{place}; scale the readings to numbers below 1e100")
+    if np.ptp(there) < 1 / _LARGEST:
+        raise RecordingError(f"{path}: all readings are within 1e-100; scale them to numbers above that")
+    if sizes[row] > _FAR_OUT * typical > 0:
+        raise RecordingError(f"{place}, {_FAR_OUT:.0e} times further out than the others; leave its cell empty")
+    few = np.unique(there[:_MANY])
+    if few.size == _TWO and np.unique(there).size == _TWO:
+        raise RecordingError(f"{path}: every reading is {few[0]:g} or {few[1]:g}; log more digits, or more levels")
 
 
 def _beginning(recording: Recording, most: int) -> tuple[list[Batch], int]:

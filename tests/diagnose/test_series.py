@@ -9,6 +9,7 @@ from aemd.block import ESTIMATE, Batch, make_block
 from aemd.diagnose import format_diagnosis
 from aemd.diagnose.engine import criticise
 from aemd.diagnose.series import load_series
+from aemd.errors import RecordingError
 from aemd.record.description import Description
 from aemd.record.writer import Recorder
 
@@ -81,3 +82,22 @@ def test_the_report_of_a_whole_record_says_nothing_of_the_kind(tmp_path: Path, v
 
     assert last.startswith("300 readings at 14.93 /s, judged in ")
     assert last.endswith(" s.")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda y: y * 1e200, "reading [0-9]+ is .*; scale the readings to numbers below 1e100"),
+        (lambda y: y * 1e-200, "all readings are within 1e-100; scale them"),
+        (
+            lambda y: np.where(np.arange(y.size) == 7, 9.9e37, y),
+            "reading 8 is 9.9e\\+37, 1e\\+12 times .*; leave its cell",
+        ),
+        (lambda y: np.where(y > 1, 1.25, 1.0), "every reading is 1 or 1.25; log more digits"),
+    ],
+)
+def test_numbers_that_leave_nothing_to_judge_are_refused_with_the_way_out(tmp_path, values, change, words):
+    path = _write(tmp_path / "r.mcap", change(values[:200])).close()
+
+    with pytest.raises(RecordingError, match=words):
+        load_series(path)
