@@ -38,6 +38,7 @@ __all__ = [
     "follow_telegraph",
     "log_densities",
     "predict",
+    "telegraph_densities",
     "whiten",
 ]
 
@@ -58,6 +59,11 @@ PREVIOUS = 4
 
 _MOST = 40  # states; the size of the work space
 _STEEP = 500.0  # logarithm of odds from which they are taken relative to the likeliest, lest they overflow
+_AGES = 3
+"""Readings since the last jump that are told apart, the last for all longer ones. Against 20, on records of 1,500 to
+9,000 readings with jumps of three deviations, 3 lose up to 0.6 nats of a likelihood, 2 up to 3."""
+_NEGLIGIBLE = 1e-4
+"""Probability of a history from which it is dropped; a jump a moment later brings it back."""
 
 
 @njit(cache=True)
@@ -493,35 +499,40 @@ def follow_telegraph(
     noise_var: Floats,
     scale: Floats,
     states: Floats,
+    shocks: Floats,
     *_: Floats,
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return for each reading what `predict` does, of a level that jumps between two values at random.
 
-    Two filters run side by side, one for each level, and mix before every reading by the odds of a jump (Blom and
-    Bar-Shalom 1988: interacting multiple models). The level enters the mean alone, so both have one covariance; the
-    spread between them is left out of it, which costs a little just after a jump and keeps the predictive density a
-    density.
+    Where the jumps are decides everything, and one reading seldom shows one: the next few do. So the filter follows,
+    for each level, the histories whose last jump was now, a reading ago, and longer ago, each with its own mean and
+    covariance; those that grow older are merged by their moments. (Blom and Bar-Shalom 1988 keep one for each level;
+    with one covariance for both, a drift that nearly follows the jumps costs a nat for each of them.) Shocks are two
+    hypotheses a reading, collapsed within each history.
 
     Args:
         telegraph: the step, and the mean stays below and above it, s.
-        y: readings, shape (n,), and so on to `states`, as of `log_densities`; shocks and extras are left out.
+        y: readings, shape (n,), and so on to `shocks`, as of `log_densities`; extras and bounds are left out.
         used: see `y`.
         step_s: see `y`.
         mean: see `y`.
         noise_var: see `y`.
         scale: see `y`.
         states: see `y`.
+        shocks: see `y`.
     """
     n = y.size
     each, cdf, predicted, variance = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     gains = np.zeros((n, states.shape[0]))
-    _follow_two(y, used, step_s, mean, noise_var, scale, states, telegraph, each, cdf, predicted, variance, gains)
+    _follow_telegraph(
+        y, used, step_s, mean, noise_var, scale, states, shocks, telegraph, each, cdf, predicted, variance, gains
+    )
     z = np.where(used, -np.sign(cdf) * ndtri(np.clip(np.abs(cdf), 1e-300, 0.5)), 0.0)
     return each, z, predicted, variance, gains
 
 
-@njit(cache=True)
-def _follow_two(
+def telegraph_densities(
+    telegraph: Floats,
     y: Floats,
     used: NDArray[np.bool_],
     step_s: Floats,
@@ -529,6 +540,46 @@ def _follow_two(
     noise_var: Floats,
     scale: Floats,
     states: Floats,
+    shocks: Floats,
+    *_: Floats,
+) -> Floats:
+    """Return each reading's log density given those before it, shape (n,); see `follow_telegraph`."""
+    each, none = np.zeros(y.size), np.empty(0)
+    _follow_telegraph(
+        *(y, used, step_s, mean, noise_var, scale, states, shocks, telegraph),
+        *(each, none, none, none, np.empty((0, 0))),
+    )
+    return each
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp", "nsz"})
+def _merge(weight: Floats, x: Floats, p: Floats, at: int, more: float, other_x: Floats, other_p: Floats) -> None:
+    """Add a history of weight `more` to the one at `at`: the mixture's mean and covariance."""
+    if more <= 0.0:
+        return
+    m = other_x.size
+    whole = weight[at] + more
+    old, new = weight[at] / whole, more / whole
+    for i in range(m):
+        for j in range(i + 1):
+            apart = old * new * (x[at, i] - other_x[i]) * (x[at, j] - other_x[j])
+            p[at, i, j] = old * p[at, i, j] + new * other_p[i, j] + apart
+            p[at, j, i] = p[at, i, j]
+    for i in range(m):
+        x[at, i] = old * x[at, i] + new * other_x[i]
+    weight[at] = whole
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp", "nsz"})
+def _follow_telegraph(
+    y: Floats,
+    used: NDArray[np.bool_],
+    step_s: Floats,
+    mean: Floats,
+    noise_var: Floats,
+    scale: Floats,
+    states: Floats,
+    shocks: Floats,
     telegraph: Floats,
     each: Floats,
     cdf: Floats,
@@ -536,59 +587,126 @@ def _follow_two(
     variance: Floats,
     gains: Floats,
 ) -> None:
-    m, n = states.shape[0], y.size
-    keep, turn, noise = np.zeros(m), np.zeros(m), np.zeros(m)
-    below, above, p = np.zeros(m), np.zeros(m), np.zeros((m, m))
-    column, work = np.zeros(m), np.zeros(m)
-    for i in range(m):
-        p[i, i] = states[i, 4] ** 2
+    m, n, count = states.shape[0], y.size, 2 * _AGES
+    keep, turn, noise, work = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m)
+    # Histories, those with the level below first, each level's youngest first; and the same a reading later.
+    x, p, weight = np.zeros((count, m)), np.zeros((count, m, m)), np.zeros(count)
+    next_x, next_p, next_weight = np.zeros((count, m)), np.zeros((count, m, m)), np.zeros(count)
+    column, struck, moved, jumped = np.zeros((count, m)), np.zeros(m), np.zeros(m), np.zeros(m)
+    spread, apart, still, moving = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
     high = telegraph[2] / (telegraph[1] + telegraph[2])
-    last_step, root_two_pi = -1.0, 0.5 * log(2 * pi)
+    weight[_AGES - 1], weight[count - 1] = 1.0 - high, high
+    for i in range(m):
+        p[_AGES - 1, i, i] = p[count - 1, i, i] = states[i, 4] ** 2
+    shock_at, jump_var, weight_at, jump = int(shocks[2]), 0.0, 0.0, 0.0
+    if shock_at >= 0:
+        jump_var, struck[shock_at] = shocks[1], 1.0
+        for i in range(min(m, shocks.size - 3)):
+            struck[i] = shocks[3 + i]
+        for i in range(m):
+            weight_at += states[i, 5] * struck[i]
+        jump = 1.0 - exp(-shocks[0] * states[shock_at, 1])
+    diagonal = True
+    for i in range(m):
+        if states[i, 0] != MARKOV:
+            diagonal = False
+    last_step, up, down, rate = -1.0, 0.0, 0.0, 0.0
     for k in range(n):
         if step_s[k] != last_step:
             last_step = step_s[k]
             transition(last_step, states, keep, turn, noise)
+            up, down = 1.0 - exp(-last_step / telegraph[1]), 1.0 - exp(-last_step / telegraph[2])
+            rate = 1.0 - exp(-shocks[0] * last_step) if shock_at >= 0 else 0.0
         if k > 0:
-            up, down = 1 - exp(-last_step / telegraph[1]), 1 - exp(-last_step / telegraph[2])
-            risen, fallen = (1 - high) * up, high * down
-            low_next, high_next = (1 - high) - risen + fallen, high - fallen + risen
-            to_above, to_below = risen / high_next, fallen / low_next
+            jump = rate
+            next_weight[:] = 0.0
+            for q in range(count):
+                if weight[q] == 0.0:
+                    continue
+                above = q >= _AGES
+                leaves = down if above else up
+                older = q if q % _AGES == _AGES - 1 else q + 1
+                _merge(next_weight, next_x, next_p, older, weight[q] * (1.0 - leaves), x[q], p[q])
+                _merge(next_weight, next_x, next_p, 0 if above else _AGES, weight[q] * leaves, x[q], p[q])
+            x, next_x, p, next_p, weight, next_weight = next_x, x, next_p, p, next_weight, weight
+            for q in range(count):
+                if weight[q] == 0.0:
+                    continue
+                if diagonal:
+                    for i in range(m):
+                        x[q, i] *= keep[i]
+                        for j in range(i + 1):
+                            p[q, i, j] *= keep[i] * keep[j]
+                            p[q, j, i] = p[q, i, j]
+                        p[q, i, i] += noise[i]
+                else:
+                    advance_vector(states, keep, turn, x[q])
+                    _advance_covariance(states, keep, turn, noise, p[q], work)
+        whole = 0.0
+        for q in range(count):
+            whole += weight[q]
+        rise_var = jump_var * (weight_at * scale[k]) ** 2
+        least = 1e300
+        for q in range(count):
+            if weight[q] == 0.0:
+                continue
+            guess, s = mean[k] + (telegraph[0] if q >= _AGES else 0.0), noise_var[k]
             for i in range(m):
-                a, b = below[i], above[i]
-                below[i] = (1 - to_below) * a + to_below * b
-                above[i] = (1 - to_above) * b + to_above * a
-            high = high_next
-            advance_vector(states, keep, turn, below)
-            advance_vector(states, keep, turn, above)
-            _advance_covariance(states, keep, turn, noise, p, work)
-        s, low_guess, high_guess = noise_var[k], mean[k], mean[k] + telegraph[0]
-        for i in range(m):
-            c = 0.0
-            for j in range(m):
-                c += states[j, 5] * p[i, j]
-            column[i] = c * scale[k]
-            s += states[i, 5] * column[i] * scale[k]
-            low_guess += scale[k] * states[i, 5] * below[i]
-            high_guess += scale[k] * states[i, 5] * above[i]
-        predicted[k] = (1 - high) * low_guess + high * high_guess
-        variance[k] = s
+                c = 0.0
+                for j in range(m):
+                    c += states[j, 5] * p[q, i, j]
+                column[q, i] = c * scale[k]
+                s += states[i, 5] * column[q, i] * scale[k]
+                guess += scale[k] * states[i, 5] * x[q, i]
+            spread[q], apart[q] = s, y[k] - guess
+            if predicted.size:
+                predicted[k] += weight[q] / whole * guess
+                variance[k] += weight[q] / whole * s
+            least = min(least, 0.5 * apart[q] ** 2 / (s + rise_var if jump > 0.0 else s))
         if not used[k]:
+            if shock_at >= 0:
+                for q in range(count):
+                    for i in range(m):
+                        for j in range(m):
+                            p[q, i, j] += jump * jump_var * struck[i] * struck[j]
             continue
-        e, f = y[k] - low_guess, y[k] - high_guess
-        l0, l1 = log(max(1 - high, 1e-300)) - 0.5 * e * e / s, log(max(high, 1e-300)) - 0.5 * f * f / s
-        top = max(l0, l1)
-        w0, w1 = exp(l0 - top), exp(l1 - top)
-        each[k] = top + log(w0 + w1) - 0.5 * log(s) - root_two_pi
-        beyond = 0.5 * ((1 - high) * erfc(e / sqrt(2 * s)) + high * erfc(f / sqrt(2 * s)))
-        short = 0.5 * ((1 - high) * erfc(-e / sqrt(2 * s)) + high * erfc(-f / sqrt(2 * s)))
-        cdf[k] = max(beyond, 1e-300) if beyond < short else -max(short, 1e-300)
-        high = w1 / (w0 + w1)
-        for i in range(m):
-            gain = column[i] / s
-            gains[k, i] = gain
-            below[i] += gain * e
-            above[i] += gain * f
-        for i in range(m):
-            for j in range(i + 1):
-                p[i, j] -= column[i] * column[j] / s
-                p[j, i] = p[i, j]
+        # Densities over that of the likeliest, lest they all vanish.
+        density, beyond, short = 0.0, 0.0, 0.0
+        for q in range(count):
+            if weight[q] == 0.0:
+                continue
+            s, e = spread[q], apart[q]
+            wide = s + rise_var
+            still[q] = (1.0 - jump) * exp(least - 0.5 * e * e / s) / sqrt(s)
+            moving[q] = jump * exp(least - 0.5 * e * e / wide) / sqrt(wide) if jump > 0.0 else 0.0
+            density += weight[q] / whole * (still[q] + moving[q])
+            if cdf.size:
+                a, b = sqrt(2.0 * s), sqrt(2.0 * wide)
+                beyond += 0.5 * weight[q] / whole * ((1.0 - jump) * erfc(e / a) + jump * erfc(e / b))
+                short += 0.5 * weight[q] / whole * ((1.0 - jump) * erfc(-e / a) + jump * erfc(-e / b))
+        each[k] = log(density) - least - 0.5 * log(2.0 * pi)
+        if cdf.size:
+            cdf[k] = max(beyond, 1e-300) if beyond < short else -max(short, 1e-300)
+        for q in range(count):
+            if weight[q] == 0.0:
+                continue
+            seen = still[q] + moving[q]
+            weight[q] *= seen / (whole * density)
+            if weight[q] < _NEGLIGIBLE:
+                weight[q] = 0.0
+                continue
+            # As in kernels.py: both hypotheses move the state along a direction, with the jump in it or without.
+            s, e = spread[q], apart[q]
+            wide, w = s + rise_var, moving[q] / seen
+            v, by, more = 1.0 - w, e / s, e / wide
+            a, b = v * (by * by - 1.0 / s), w * (more * more - 1.0 / wide)
+            for i in range(m):
+                jumped[i] = column[q, i] + jump_var * weight_at * scale[k] * struck[i]
+                moved[i] = v * by * column[q, i] + w * more * jumped[i]
+                x[q, i] += moved[i]
+                for j in range(i + 1):
+                    p[q, i, j] += a * column[q, i] * column[q, j] + b * jumped[i] * jumped[j] - moved[i] * moved[j]
+                    p[q, i, j] += w * jump_var * struck[i] * struck[j]
+                    p[q, j, i] = p[q, i, j]
+                if gains.size:
+                    gains[k, i] += weight[q] * (v * column[q, i] / s + w * jumped[i] / wide)

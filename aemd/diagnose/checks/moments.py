@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import kurtosistest, norm
 
-from aemd.diagnose.evidence import Evidence, two_sided, weighted_chi2_tail
+from aemd.diagnose.checks.tails import gain_of_tails, tail_of_gain
+from aemd.diagnose.evidence import Evidence, bonferroni, two_sided, weighted_chi2_tail
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.hypothesis import Term
 from aemd.diagnose.terms.lines import amplitude_cost
@@ -101,20 +102,22 @@ def _changing_noise(fit: Fit) -> Outcome:
 
 
 def _tails(fit: Fit) -> Outcome:
-    """Compare the residuals' fourth moment with the normal law's (Anscombe and Glynn 1983)."""
+    """Compare the residuals' fourth moment with the normal law's (Anscombe and Glynn 1983), and fit tails to them."""
     z = fit.z[fit.data.used]
     score = float(kurtosistest(z).statistic)
+    gain, fitted = gain_of_tails(fit)
 
     def terms() -> list[Term]:
         excess = max(float(np.mean((z / z.std()) ** 4)) - 3, 0.05)
         core = sqrt(float(np.median(fit.variance[fit.data.used])))
         sizes = ((0.01, 3.0), (0.05, 2.0), (min(0.2, excess), 1.2))
         cost = amplitude_cost(2, fit.data.n)
-        return [HeavyTails(fraction, ratio * core, cost) for fraction, ratio in sizes]
+        begun = [HeavyTails(fraction, ratio * core, cost) for fraction, ratio in sizes]
+        return [*begun, fitted] if fitted else list(begun)
 
     evidence = Evidence(
         check="kurtosis of the residuals: score in deviations",
-        p_value=float(norm.sf(score)),
+        p_value=bonferroni(min(float(norm.sf(score)), tail_of_gain(gain)), 2),
         observed=score,
         low=-1.96,
         high=1.96,

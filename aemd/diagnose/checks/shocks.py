@@ -1,22 +1,22 @@
 """The shocks themselves: whether their signs are even, whether they come alone, and what follows them."""
 
 from dataclasses import dataclass
-from math import log
+from math import log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom, binomtest, chi2
+from scipy.stats import binom, binomtest, chi2, norm
 
 from aemd.diagnose.checks.spectrum import regress
 from aemd.diagnose.evidence import Evidence, bonferroni
-from aemd.diagnose.fit import Fit
+from aemd.diagnose.fit import Fit, densities
 from aemd.diagnose.given import Given
 from aemd.diagnose.kernels import MARKOV
 from aemd.diagnose.terms.events import RingDown, ShockLaw, rung
 from aemd.diagnose.terms.lines import amplitude_cost
 from aemd.model import Shocks
 
-__all__ = ["Marks", "check_ring_down", "check_shock_law", "marks_of"]
+__all__ = ["Marks", "check_ring_down", "check_shock_law", "coins_tail", "marks_of"]
 
 Floats = NDArray[np.float64]
 
@@ -27,6 +27,16 @@ _SAME = 3
 _LEAST = 5
 _CLOSE = (0.03, 0.1, 0.3)
 """Gaps, in mean gaps, below which there should not be too many."""
+_NUDGE = 1e-4
+"""Bias by which the scores are differenced."""
+_WORTH_A_FIT = 0.05
+_HARDLY = 1.5
+"""Deviations of a sum below which its law may be normal."""
+_LATTICE = 300
+"""Steps in what was observed."""
+_MOST_COINS = 200
+_SMALL = 0.03
+"""Of the largest; what is smaller adds a normal number."""
 _DECAYS = 5
 _LOWEST_TURNS = 1.0
 """Turns within a decay from which what follows a shock is a wave and no second decay."""
@@ -55,22 +65,95 @@ def marks_of(fit: Fit) -> Marks | None:
 
 
 def check_shock_law(fit: Fit) -> list[Evidence]:
-    """Count the shocks' signs, and the gaps between them that are short."""
+    """Weigh the shocks' signs, and count the gaps between them that are short."""
     marks = marks_of(fit)
-    if marks is None or marks.at.size < _LEAST:
+    if marks is None:
         return []
-    count, positive = marks.at.size, int(np.count_nonzero(marks.size > 0))
     even = _positive_part(fit)
+    found = [_weighed(fit)] if even == 0.5 else [_counted(marks, even)] if marks.at.size >= _LEAST else []
+    return [*found, *_close(fit, marks)]
+
+
+def _weighed(fit: Fit) -> Evidence:
+    """Return the score of the bias of the shocks' signs, over all readings by what each tells of it.
+
+    A reading's score is odd in its innovation given the readings before, and its density is even: so given their sizes
+    the scores' signs are fair coins, and the law of their sum is exact whatever the sizes are.
+    """
+    law = ShockLaw(0.0, 0.0)
+    terms = [*fit.terms, law]
+    up, down = (densities(terms, np.append(fit.theta, bias), fit.data) for bias in (_NUDGE, -_NUDGE))
+    scores = ((up - down) / (2 * _NUDGE))[fit.data.used]
+    information = float(scores @ scores)
+    if information <= 0:
+        return _evidence_of_signs(1.0, 0.0, 0.0, ())
+    score = float(scores.sum())
+    p_value = min(1.0, 2 * coins_tail(np.abs(scores), abs(score)))
+    bias = float(np.clip(score / information, -0.95, 0.95))
+    cost = 0.5 * log(max(information, 1.0))
+    return _evidence_of_signs(
+        p_value, score, sqrt(information), (ShockLaw(bias, cost),) if p_value < _WORTH_A_FIT else ()
+    )
+
+
+def _evidence_of_signs(p_value: float, score: float, deviation: float, terms: tuple[ShockLaw, ...]) -> Evidence:
+    return Evidence(
+        check="excess of positive over negative shocks, by the readings' odds",
+        p_value=p_value,
+        observed=score,
+        low=-1.96 * deviation,
+        high=1.96 * deviation,
+        terms=terms,
+    )
+
+
+def coins_tail(sizes: Floats, observed: float) -> float:
+    """Return P(sum of +-sizes >= observed) for fair coins.
+
+    The large ones are summed on a lattice, exactly but for its step; all that the small ones add is normal.
+
+    >>> round(coins_tail(np.ones(10), 10.0) * 2**10, 6)
+    1.0
+    """
+    deviation = sqrt(float(sizes @ sizes))
+    if observed < _HARDLY * deviation:
+        return float(norm.sf(observed / max(deviation, 1e-300)))
+    largest = float(sizes.max())
+    step = largest / np.ceil(largest / max(observed / _LATTICE, largest / _LATTICE))  # sure shocks are of one size
+    large = np.rint(np.sort(sizes)[::-1][:_MOST_COINS] / step).astype(np.int64)
+    large = large[large > _SMALL / step * largest]
+    rest = sqrt(float(np.sum(np.sort(sizes)[::-1][large.size :] ** 2)))
+    reach = int(large.sum())
+    law = np.zeros(2 * reach + 1)
+    law[reach] = 1.0
+    for size in large:
+        law = 0.5 * (np.roll(law, size) + np.roll(law, -size))  # what would come round has no probability yet
+    beyond = observed - step * np.arange(-reach, reach + 1)
+    if rest <= step:
+        return float(law[beyond <= 0.5 * step].sum())
+    return float(law @ norm.sf(beyond / rest))
+
+
+def _counted(marks: Marks, even: float) -> Evidence:
+    """Count the sure shocks' signs, of which a part that is not half should be positive."""
+    count, positive = marks.at.size, int(np.count_nonzero(marks.size > 0))
     p_value = float(binomtest(positive, count, even).pvalue)
     bias = float(np.clip(2 * positive / count - 1, -0.95, 0.95))
-    signs = Evidence(
+    return Evidence(
         check="part of the shocks that are positive",
         p_value=p_value,
         observed=positive / count,
         low=float(binom.ppf(0.025, count, even)) / count,
         high=float(binom.ppf(0.975, count, even)) / count,
-        terms=(ShockLaw(bias, 0.5 * log(count)),) if p_value < 0.05 else (),
+        terms=(ShockLaw(bias, 0.5 * log(count)),) if p_value < _WORTH_A_FIT else (),
     )
+
+
+def _close(fit: Fit, marks: Marks) -> list[Evidence]:
+    """Count the short gaps between shocks."""
+    if marks.at.size < _LEAST:
+        return []
+    count = marks.at.size
     # Of so many instants anywhere in the record, a gap exceeds the part x of it with probability (1 - x)^count; that
     # they share the record makes counts of short ones scatter less than binomially.
     gaps = np.diff(fit.data.t_s[marks.at]) / fit.data.span_s
@@ -82,7 +165,6 @@ def check_shock_law(fit: Fit) -> list[Evidence]:
         tries.append((float(binom.sf(seen - 1, gaps.size, share)), seen, share))
     p_value, seen, share = min(tries)
     return [
-        signs,
         Evidence(
             check="shocks that follow one another closely",
             p_value=bonferroni(p_value, len(_CLOSE)),
