@@ -19,15 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from aemd.diagnose.climb import Climb, race
+from aemd.diagnose.climb import Climb, assemble, race
 from aemd.diagnose.evidence import exceedance_of_peaks
 from aemd.diagnose.fit import Fit, begin_with, residuals, steps_for
-from aemd.diagnose.hypothesis import Term
+from aemd.diagnose.hypothesis import Data, Term
 from aemd.diagnose.terms.events import Popcorn
 from aemd.diagnose.terms.lines import Sines, WanderingLine, amplitude_cost, fold
-from aemd.diagnose.terms.noise import ChangingNoise, Resonance
+from aemd.diagnose.terms.noise import ChangingNoise, Resonance, SignalDependentNoise
 
 __all__ = ["NOT_WHITE", "Named", "acts_throughout", "is_coloured", "name"]
+
+Floats = NDArray[np.float64]
 
 _CREDIBLE = 0.95
 """The set of names holds the truth with this probability; two rivals 5.4 nats apart are told apart by it."""
@@ -104,6 +106,9 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
             for term in {repr(term): term for term in candidates if isinstance(term, Sines)}.values()
         ]
         ended = sorted([*ended, *(race(still, steps_for(fit.data)) if still else [])], key=lambda one: -one.worth)
+    for one in ended:
+        one.cost_nats -= _left_out(one.terms, one.theta, fit.data)
+    ended = sorted(ended, key=lambda one: -one.worth)
     fitted: dict[str, Climb] = {}
     for one in ended:
         fitted.setdefault(one.terms[-1].cause, one)
@@ -128,6 +133,24 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
     else:
         refused = _does_not_fit(fit, winner)
     return Named(winner, best.terms[-1], tuple(names), weights[0] / sum(weights), gain, refused)
+
+
+def _left_out(terms: Sequence[Term], theta: Floats, data: Data) -> float:
+    """Return the log-likelihood of the skewness that a noise which grows with the reading has, nats; 0 of all others.
+
+    The filter takes that noise by its variance R at the prediction. But a reading that the input's news u, of variance
+    P, has lifted has more of it, R' u, so the innovation has the third moment 3 R' P, and by the first term of its
+    Gram-Charlier series the likelihood gains c He3(z) - 3 c^2 with c = R' P/(2 S^(3/2)). A bent scale is skew in the
+    same way, and would be the name of this noise for nothing else.
+    """
+    if not isinstance(terms[-1], SignalDependentNoise):
+        return 0.0
+    fit, used = residuals(terms, theta, data), data.used
+    noise_var = assemble(terms, theta, data)[2][1][used]
+    per_square, reading = exp(2 * float(theta[-1])), (fit.predicted + data.origin_V / data.unit_V)[used]
+    news = np.maximum(fit.variance[used] - noise_var - per_square * reading**2, 0.0)
+    c, z = per_square * reading * news / fit.variance[used] ** 1.5, fit.z[used]
+    return float(np.sum(c * (z**3 - 3 * z) - 3 * c**2))
 
 
 def _does_not_fit(before: Fit, after: Fit) -> str:

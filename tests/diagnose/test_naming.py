@@ -1,0 +1,52 @@
+"""What a name is weighed with beside the likelihood of its term."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from aemd.diagnose.hypothesis import Base, base_box, make_data
+from aemd.diagnose.naming import _left_out
+from aemd.diagnose.terms.noise import SignalDependentNoise
+from aemd.diagnose.terms.shapes import Nonlinearity
+from tests.diagnose.plant import INTERVAL_S, N, series
+
+GAIN, NEWS_V = 0.1, 0.1
+
+
+def white_plant():
+    """Readings x + 0.1 x e of a white x about 1 V, and the base that describes x."""
+    rng = np.random.default_rng(41)
+    x = 1.0 + NEWS_V * rng.standard_normal(N)
+    y = x * (1 + GAIN * rng.standard_normal(N))
+    data = make_data(series(1.0 + np.hypot(NEWS_V, GAIN) * (y - y.mean()) / y.std()))  # as after a fit
+    data = replace(data, aperture_s=0.0)  # or nothing of so fast an x would be left
+    tau_s = 0.01 * INTERVAL_S
+    rate = np.log(NEWS_V / data.unit_V * np.sqrt(2 / tau_s))
+    level = (1.0 - data.origin_V) / data.unit_V
+    base = Base(np.array([np.log(tau_s), rate, 0.0, -20.0, -9.0, level]), shocks=False, box=base_box(data))
+    return data, base
+
+
+def test_the_skewness_that_the_filter_leaves_out_is_what_the_exact_density_gains():
+    """Exact: the mean over x of N(y; x, (0.1 x)^2), by a sum over its grid."""
+    data, base = white_plant()
+    term = SignalDependentNoise(GAIN, 0.0)
+    y = data.y * data.unit_V + data.origin_V
+    grid = 1.0 + NEWS_V * np.linspace(-5, 5, 401)
+    weights = norm.pdf(grid, 1.0, NEWS_V) * (grid[1] - grid[0])
+    exact = np.log(norm.pdf(y[:, None], grid, GAIN * grid) @ weights)
+    plain = norm.logpdf(y, 1.0, np.hypot(NEWS_V, GAIN))
+
+    owed = _left_out([base, term], np.concatenate((base.start, term.start)), data)
+
+    assert owed > 10
+    assert owed == pytest.approx(float(np.sum(exact - plain)), rel=0.2)
+
+
+def test_of_other_names_nothing_is_left_out():
+    data, base = white_plant()
+    term = Nonlinearity(0.01, 0.0)
+
+    assert _left_out([base, term], np.concatenate((base.start, term.start)), data) == 0.0
