@@ -33,7 +33,7 @@ from tests.blind.oracle import oracle_gain
 from tests.blind.plant import Effect, Plant, Record, Run
 from tests.blind.rivals import rival_nats
 
-__all__ = ["Answer", "Sealed", "ask", "open_folder", "run_all", "seal"]
+__all__ = ["Answer", "Sealed", "ask", "open_folder", "run_all", "seal", "shut"]
 
 KEY, ANSWERS = "key.json", "answers.jsonl"
 AHEAD = 4
@@ -77,9 +77,14 @@ def seal(salt: str, mix: Mix, jobs: int, folder: Path) -> Sealed:
     Raises:
         FileExistsError: the folder has a key already; its run is resumed, or the folder is another one.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     with pool(jobs) as workers:
         drawn = list(workers.map(partial(draw, salt), mix.tickets(), chunksize=4))
+    return shut(salt, mix, drawn, folder)
+
+
+def shut(salt: str, mix: Mix, drawn: list[Envelope], folder: Path) -> Sealed:
+    """Shuffle envelopes, write their key and return it."""
+    folder.mkdir(parents=True, exist_ok=True)
     np.random.default_rng([*salt.encode()]).shuffle(drawn)  # type: ignore[arg-type] # a list is shuffled in place
     envelopes = [replace(envelope, number=number) for number, envelope in enumerate(drawn)]
     key = json.dumps({"salt": salt, "mix": asdict(mix), "envelopes": [asdict(envelope) for envelope in envelopes]})
