@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Curve", "after_jumps", "folded", "levels", "running_deviation", "unwound"]
+__all__ = ["Curve", "after_jumps", "folded", "level_changes", "levels", "running_deviation", "unwound"]
 
 Floats = NDArray[np.float64]
 Curve = Callable[[Floats, float], tuple[Floats, Floats]]
@@ -64,6 +64,25 @@ def running_deviation(y: Floats, step_s: float) -> tuple[Floats, Floats]:
     parts = np.array_split(np.diff(y), min(_WINDOWS, max(y.size // 20, 1)))
     middle_s = np.cumsum([part.size for part in parts]) * step_s - parts[0].size * step_s / 2
     return np.asarray(middle_s), np.array([part.std() for part in parts]) / np.sqrt(2)
+
+
+def level_changes(at_s: float, width_s: float) -> Curve:
+    """Return by how much the mean over a width after each instant is above that before it, near an instant, V.
+
+    A step of the level is a triangle of its height in it, with its top at the instant; drift is next to nothing.
+    """
+
+    def curve(y: Floats, step_s: float) -> tuple[Floats, Floats]:
+        count = int(np.clip(width_s / step_s, 2, y.size // 4))
+        total = np.concatenate(([0.0], np.cumsum(y - y.mean())))
+        change = (total[2 * count :] - 2 * total[count:-count] + total[: -2 * count]) / count
+        t_s = (np.arange(change.size) + count) * step_s
+        near = np.abs(t_s - at_s) < 8 * count * step_s
+        if not near.any():  # the instant is at an end of the record
+            near = np.abs(t_s - np.clip(at_s, t_s[0], t_s[-1])) < 8 * count * step_s
+        return t_s[near], np.asarray(change[near], np.float64)
+
+    return curve
 
 
 def levels(centre_V: float, width_V: float) -> Curve:

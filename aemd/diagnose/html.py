@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from aemd import __version__
-from aemd.diagnose.curves import Curve, after_jumps, folded, levels, running_deviation, unwound
+from aemd.diagnose.curves import Curve, after_jumps, folded, level_changes, levels, running_deviation, unwound
 from aemd.diagnose.extend import model_of
 from aemd.diagnose.fit import residuals
 from aemd.diagnose.given import accept
@@ -46,6 +46,8 @@ _KEY_OF_RESIDUALS = {
     "data": "residuals of the model with all that has a name; a circle marks what chance gives once in 100 pictures",
     "extended": "where 95 % of the cells are if the model is right",
 }
+_STEP_S = 5.0
+"""Over which a level is averaged on either side of a step."""
 _SURPRISE = 2.0
 """Decades below 1 of the chance of a cell, over all cells of the picture, from which it is marked."""
 _PAGE = """<!doctype html>
@@ -229,6 +231,10 @@ def _picture(finding: Finding, series: Series, bands: dict[str, Floats]) -> Figu
     elif shown is not None:
         _draw(axes, lambda y, step_s: _fine_spectrum(y, step_s, shown.value), series, bands)
         axes.set(yscale="log", xlabel="frequency, Hz", ylabel="density, V²/Hz")
+    elif finding.cause == "step":
+        _draw(axes, level_changes(values["time_s"].value, _STEP_S), series, bands)
+        axes.axvline(values["time_s"].value, color=_COLOURS["extended"], lw=0.8)
+        axes.set(xlabel="time, s", ylabel=f"mean of the {_STEP_S:g} s after, less that before, V")
     elif "time_s" in values:
         at, width = values["time_s"].value, max(10 * series.interval_s, 20.0)
         near = np.abs(series.time_s - at) < 3 * width

@@ -25,8 +25,8 @@ from tests.diagnose.removed import BASE, CASES
 __all__ = ["STRONG", "Delivered", "compared", "left", "made"]
 
 INTERVAL_S, APERTURE_S = 0.06712, 0.02
-SEEDS = (3, 4, 5)
-_FRESH = 100
+RECORDS = 3
+_FRESH = 10_000
 """Added to a seed: the history that the promise is tried on."""
 _TERM = '[[terms]]\nterm = "{}"\n{}\n'
 _EFFECT = '[[effects]]\neffect = "{}"\n{}\n'
@@ -106,8 +106,9 @@ def main() -> None:
     kept = asked = 0
     print(f"{'mechanism':23}{'promised: error ratio':>24}{'given':>7}{'nats a reading':>26}{'given':>8}  found")
     for cause in given.causes or list(_MODELS):
+        first = 10 * list(_MODELS).index(cause) + 3  # one seed gives all mechanisms the same drift, and the same luck
         seconds = CASES[cause].seconds if cause in CASES else 400.0
-        for seed in SEEDS:
+        for seed in range(first, first + RECORDS):
             with TemporaryDirectory() as folder:
                 place = Path(folder)
                 diagnosis = made(place, _MODELS[cause], seed, seconds)
