@@ -13,8 +13,9 @@ imitate the effect, as they can a step. Kind of D by cause, in KINDS below:
     path         telegraph noise: the mean's D of the path as drawn, less what the path itself costs who does not know
                  it, ln(stay/interval) + 1 for each jump (a lower bound)
     innovation   noise that is not Gaussian or not stationary: as if innovations were independent, with their variance;
-                 of heavy tails, against a plant whose shocks fade within a reading, which imitates them well; of noise
-                 that grows with the reading, given the readings as drawn
+                 of heavy tails, against a plant whose shocks fade within a reading, which imitates them well; of the
+                 shocks' signs, as far as a reading tells that it was struck and by what; of noise that grows with the
+                 reading, given the readings as drawn
     counted      nothing is refitted: the effect is seen by counting, and a size is drawn instead of a D
 """
 
@@ -26,7 +27,7 @@ import numpy as np
 from numba import njit
 from scipy.optimize import brentq, minimize
 from scipy.signal import fftconvolve
-from scipy.special import ndtri
+from scipy.special import erf, ndtri
 from scipy.stats import norm
 from scipy.stats import t as student
 
@@ -287,13 +288,31 @@ def louder_kl(run: Run, effect: Effect) -> float:
     return 0.5 * float(np.sum(np.log(np.mean(each) / each)))
 
 
+def uneven_kl(plant: Plant, bias: float, struck: float, sd: float) -> float:
+    """Return nats per reading of shocks whose signs are uneven, with innovations of a deviation when there is none.
+
+    A reading is struck or not, nobody says which, and of a shock smaller than the noise nobody knows the sign. What it
+    shows is its mark, faded since its instant, an even choice in the interval before. The clean plant nearest to it is
+    the even part of its density, since what is odd only changes its sign with the innovation. What a shock leaves in
+    the readings after it is left out, which for a slow one is a little more.
+    """
+    faded = plant.shock_sd_V * np.exp(-(np.arange(20) + 0.5) / 20 * plant.interval_s / plant.shock_decay_s)[:, None]
+    whole = np.sqrt(sd**2 + faded**2)
+    reach = 8 * float(whole.max())
+    grid = np.sort(np.concatenate((np.linspace(-reach, reach, 1601), np.linspace(-8 * sd, 8 * sd, 1601))))
+    marked = norm.pdf(grid, scale=whole)
+    even = (1 - struck) * norm.pdf(grid, scale=sd) + struck * marked.mean(axis=0)
+    odd = bias * struck * (marked * erf(grid * faded / (sqrt(2) * sd * whole))).mean(axis=0)
+    uneven = np.maximum(even + odd, 0.0)
+    told = np.log(np.maximum(uneven, 1e-300) / np.maximum(even, 1e-300))
+    return float(np.trapezoid(uneven * told, grid))
+
+
 def innovation_kl(plant: Plant, effect: Effect, shocks: int) -> float:
     """Return nats per reading of noise that is not Gaussian, or not of one variance."""
     variance = exp(float(np.mean(np.log(spectrum(numbers(plant), plant)))))  # of one innovation (Kolmogorov)
     if effect.cause == "shock_law":
-        positive = (1 + effect.size) / 2
-        odds = np.array([positive, 1 - positive])
-        return shocks * float(np.sum(odds * np.log(2 * odds, where=odds > 0, out=np.zeros(2)))) / plant.n
+        return uneven_kl(plant, effect.size, shocks / plant.n, sqrt(variance))
     share = effect.size * plant.white_sd_V**2 / variance  # heavy_tails; in units of the innovation's sd
     grid = np.linspace(-25, 25, 20_001)
     scale = sqrt(share / 3)
