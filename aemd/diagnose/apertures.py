@@ -15,10 +15,13 @@ from math import cosh, sinh, sqrt
 
 import numpy as np
 
-__all__ = ["averaged_markov", "averaged_pair", "struck_between"]
+__all__ = ["averaged_markov", "averaged_out", "averaged_pair", "struck_between"]
 
 _SMALL = 1e-2
 """Aperture in time constants below which the series is exact to 1e-9, and the closed form loses digits."""
+
+_LARGE = 100.0
+"""Apertures in time constants beyond which nothing of a process is left but its mean over a reading."""
 
 
 def averaged_markov(tau_s: float, rate: float, aperture_s: float) -> tuple[float, float]:
@@ -33,6 +36,19 @@ def averaged_markov(tau_s: float, rate: float, aperture_s: float) -> tuple[float
     else:
         larger, lost = 2 * (cosh(a) - 1) / a**2, (sinh(a) - a) / a**3
     return rate * sqrt(larger), -(rate**2) * aperture_s * lost
+
+
+def averaged_out(tau_s: float, rate: float, aperture_s: float) -> float:
+    """Return the variance of the white noise, which is negative, beside a process of this rate at instants.
+
+    >>> averaged_out(float("inf"), 1.0, 6.0), round(averaged_out(1e-9, 1.0, 6.0) / (1e-9 / 2), 6)
+    (-1.0, -1.0)
+    """
+    a = aperture_s / tau_s
+    if a > _LARGE:
+        return -(rate**2) * tau_s / 2
+    kept, lost = averaged_markov(tau_s, 1.0, aperture_s)
+    return lost * (rate / kept) ** 2
 
 
 def averaged_pair(tau_s: float, omega: float, sd: float, aperture_s: float) -> tuple[float, float]:

@@ -67,6 +67,8 @@ def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[Seen, Pa
         term.add(numbers, data, parts)
     states = np.array(parts.states, np.float64).reshape(-1, 6)  # of white noise alone there is none
     seen = sharpened(data, parts.kept)
+    if parts.kept > 0:
+        parts.noise_var = parts.noise_var * _quieted(data, parts.kept)
     if parts.undo is not None:
         seen = parts.undo(seen)
     bounds = () if seen.low is None else (seen.low, seen.high)
@@ -77,19 +79,37 @@ def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[Seen, Pa
 
 
 def sharpened(data: Data, kept: float) -> Seen:
-    """Return the readings before a smoothing; after a gap the smoothed reading stands for itself."""
+    """Return the readings before a smoothing.
+
+    After a gap of m readings a mean of them stands for the last, the share kept^m of the one before the gap taken off;
+    the first reading of all stands for itself.
+    """
     if kept == 0.0:
         return Seen(data.y, data.low, data.high, 0.0)
-    direct = data.used.copy()
-    direct[0] = False
-    direct[1:] &= data.used[:-1] & (np.diff(data.slot) == 1)
-    before = np.concatenate(([0.0], data.y[:-1]))
+    share, last = _shares(data, kept)
 
     def sharp(values: Floats) -> Floats:
-        return np.where(direct, (values - kept * before) / (1 - kept), values)
+        return np.asarray((values - share * data.y[last]) / (1 - share))
 
     low, high = (None if values is None else sharp(values) for values in (data.low, data.high))
-    return Seen(sharp(data.y), low, high, np.where(direct, -np.log1p(-kept), 0.0))
+    return Seen(sharp(data.y), low, high, -np.log1p(-share))
+
+
+def _shares(data: Data, kept: float) -> tuple[Floats, NDArray[np.int64]]:
+    """Return how much of the last reading that is used is in each one, and which that is."""
+    last = np.maximum.accumulate(np.where(data.used, np.arange(data.y.size), -1))
+    last = np.concatenate(([-1], last[:-1]))
+    share = np.where(last >= 0, kept ** np.maximum(data.slot - data.slot[last], 1.0), 0.0)
+    return share, last
+
+
+def _quieted(data: Data, kept: float) -> Floats:
+    """Return the variance of white noise in what `sharpened` makes of each reading, over that of one reading.
+
+    Of m readings of variance 1 the mean with weights kept^j, j < m, that sum to 1.
+    """
+    share, _ = _shares(data, kept)
+    return np.asarray((1 - kept) / (1 + kept) * (1 + share) / (1 - share))
 
 
 def score_log_likelihood(terms: Sequence[Term], theta: Floats, data: Data) -> float:

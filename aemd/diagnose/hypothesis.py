@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from aemd.diagnose.apertures import averaged_out
 from aemd.diagnose.kernels import MARKOV
 from aemd.diagnose.series import Series
 
@@ -211,10 +212,11 @@ class Base:
         """Of each free number."""
         return self.box
 
-    def add(self, theta: Floats, data: Data, parts: Parts) -> None:  # noqa: ARG002 - a Term's
+    def add(self, theta: Floats, data: Data, parts: Parts) -> None:
         """Put signal, drift, noise, level and shocks into the parts."""
         for tau, rate in ((exp(theta[0]), exp(theta[1])), (exp(theta[2]), exp(theta[3]))):
             parts.states.append((MARKOV, tau, 0.0, rate, rate * sqrt(tau / 2), 1.0))
+            parts.noise_var += averaged_out(tau, rate, data.aperture_s)
         parts.noise_var += exp(2 * theta[4])
         parts.mean += theta[5]
         if self.shocks:

@@ -24,6 +24,8 @@ Floats = NDArray[np.float64]
 
 _SLOW = ("step", "warmup_drift", "thermal_drift", "latency")
 """What a drift can pass for, in part."""
+_CROOKED = ("smoothing",)
+"""What another process of the base can pass for, by a change of places: its likelihood is no parabola."""
 _LONG = 10_000
 """Readings beyond which the drift is known well enough."""
 _DRIFT_TAUS = (0.1, 0.4, 2.0)
@@ -87,7 +89,7 @@ def describe(fit: Fit, number: int, spread: Floats) -> Mapping[str, Value]:
         least, most = parameter.limits
         value = told[parameter.name]
         told[parameter.name] = replace(value, low=max(value.low, least), high=min(value.high, most))
-    if not _is_slow(fit, number):
+    if not _is_slow(fit, number) and term.cause not in _CROOKED:
         return told
     given = np.diag(_given_the_drift(fit))[begin : begin + theta.size]
     reaches = [

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aemd import model
-from aemd.diagnose.apertures import averaged_markov, struck_between
+from aemd.diagnose.apertures import averaged_markov, averaged_out, struck_between
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.given import Given
 from aemd.diagnose.hypothesis import Base
@@ -41,6 +41,8 @@ Made = tuple[list[Any], list[Any]]
 
 _BLOCKED = 0.05
 """Part of a sinusoid that an aperture must let through for its amplitude before the aperture to mean anything."""
+_LEAST_PART = 1e-4
+"""Of the white noise that was fitted, which is left where another aperture averages less of what is fast."""
 _ORDER = (
     model.Nonlinearity,
     model.DifferenceNoise,
@@ -113,7 +115,8 @@ def _base(base: Base, v: Floats, fit: Fit, aperture_s: float) -> list[Any]:
     # What is fitted is at instants; the model's processes are averaged, which takes from the white noise what is fast.
     kept, lost = zip(*(averaged_markov(exp(v[at]), exp(v[at + 1]), aperture_s) for at in (0, 2)), strict=True)
     signal, drift = (exp(v[at + 1]) ** 2 / rate for at, rate in zip((0, 2), kept, strict=True))
-    white = sqrt(exp(2 * v[4]) * _quietest(fit) ** 2 - sum(lost))
+    beside = exp(2 * v[4]) + sum(averaged_out(exp(v[at]), exp(v[at + 1]), fit.data.aperture_s) for at in (0, 2))
+    white = sqrt(max(beside * _quietest(fit) ** 2 - sum(lost), _LEAST_PART * exp(2 * v[4])))
     made: list[Any] = [
         model.Level(level_V=float(v[5] * unit + fit.data.origin_V)),
         model.GaussMarkov(role="signal", rate_V_per_rt_s=signal * unit, tau_s=exp(v[0])),

@@ -5,7 +5,7 @@ small addition with spectrum dS is dS/S of the base. Its score, the projection o
 shapes of the base's own parameters are taken out (C(alpha), Neyman 1959), is a weighted sum of exponentials.
 """
 
-from math import log, pi, sqrt
+from math import exp, log, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +48,9 @@ class _Score:
         self.w = 2 * pi * np.arange(1, self.power.size + 1) / even.size
         self.step_s = data.interval_s
         self.base = np.full(self.w.size, fit.white**2)
-        shapes = [self.base.copy()]
+        fitted = isinstance(fit.terms[0], Base)
+        # Beside what apertures average out of the processes, which leaves less white noise than there is, or none.
+        shapes = [np.full(self.w.size, exp(2 * fit.theta[4])) if fitted else self.base.copy()]
         for kind, tau, omega, rate, _, _ in fit.states:
             if kind == MARKOV and rate > 0:
                 here = rate**2 * self.markov(tau)
@@ -65,7 +67,7 @@ class _Score:
         self.lost = not present.all()
         kept = taken[:, present] / scale[present]
         left, singular, _ = np.linalg.svd(kept, full_matrices=False)
-        fitted = isinstance(fit.terms[0], Base)  # of a stated model nothing has been fitted away
+        # Of a stated model nothing has been fitted away.
         self.taken = left[:, singular > (1e-4 if fitted else np.inf) * singular[0]]
 
     def markov(self, tau_s: float) -> Floats:
