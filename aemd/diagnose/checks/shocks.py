@@ -14,6 +14,7 @@ from aemd.diagnose.given import Given
 from aemd.diagnose.kernels import MARKOV
 from aemd.diagnose.terms.events import RingDown, ShockLaw, rung
 from aemd.diagnose.terms.lines import amplitude_cost
+from aemd.diagnose.terms.noise import SignalDependentNoise
 from aemd.model import Shocks
 
 __all__ = ["Marks", "check_ring_down", "check_shock_law", "coins_tail", "marks_of"]
@@ -69,9 +70,20 @@ def check_shock_law(fit: Fit) -> list[Evidence]:
     marks = marks_of(fit)
     if marks is None:
         return []
+    if _is_skew(fit):
+        return _close(fit, marks)
     even = _positive_part(fit)
     found = [_weighed(fit)] if even == 0.5 else [_counted(marks, even)] if marks.at.size >= _LEAST else []
     return [*found, *_close(fit, marks)]
+
+
+def _is_skew(fit: Fit) -> bool:
+    """Return whether a noise that grows with the reading was found.
+
+    A reading that the input's news lifted has more of it, so innovations are skew without any shock, and signs are no
+    fair coins.
+    """
+    return any(isinstance(term, SignalDependentNoise) for term in fit.terms)
 
 
 def _weighed(fit: Fit) -> Evidence:
