@@ -5,8 +5,10 @@ D = E[log p(readings | plant with the effect)] - E[log p(readings | the best pla
 The best plant is found by refitting all five numbers of the clean plant, so what it absorbs is no part of D. A change
 of covariance costs n/2 times the mean over the spectrum of log(S'/S) + S/S' - 1 (asymptotic; S folded, apertures
 included); a change of the mean costs half the energy of what the refitted plant's whitening leaves of it (exact).
-Shocks and lost readings are left out: with them D is a little smaller, and much smaller where shocks of the plant can
-imitate the effect, as they can a step. Kind of D by cause, in KINDS below:
+Shocks and lost readings are left out, except of a change of the mean: there readings that are lost tell nothing, and
+shocks come at known instants and fade as the plant's do, but with unknown marks, which the first readings after each
+are spent on. Who reads a file does not know the instants, so D is still a little too large, and much where shocks at
+any instant can imitate the effect, as they can a step. Kind of D by cause, in KINDS below:
 
     mean         deterministic, given the draws (phases, shock times, temperature, the readings it bends): as above
     covariance   Gaussian: as above; where the noise changes, segment by segment
@@ -20,8 +22,8 @@ imitate the effect, as they can a step. Kind of D by cause, in KINDS below:
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from math import exp, log, sqrt
+from dataclasses import dataclass, replace
+from math import ceil, exp, log, sqrt
 
 import numpy as np
 from numba import njit
@@ -66,8 +68,11 @@ KINDS = dict.fromkeys(AT_INPUT, "mean") | {
 }
 
 
-def d_nats(run: Run, effect: Effect) -> float:
-    """Return D of an effect in an otherwise clean run; NaN where it is counted."""
+def d_nats(run: Run, effect: Effect, shown: "Shown | None" = None) -> float:
+    """Return D of an effect in an otherwise clean run; NaN where it is counted.
+
+    `shown` is what one unit of it shows, where that is known from another size of it.
+    """
     plant, n = run.plant, run.plant.n
     kind, theta = KINDS[effect.cause], numbers(plant)
     if kind == "counted":
@@ -78,9 +83,9 @@ def d_nats(run: Run, effect: Effect) -> float:
         return n * innovation_kl(plant, effect, len(make_world(run).shocks))
     clean_s = spectrum(theta, plant)
     if kind in ("mean", "path"):
-        unit = unit_template(run, effect)
-        known = refit(theta, plant, [(1.0, clean_s)], effect.size * unit)
-        return known - (path_cost(unit, effect, plant) if kind == "path" else 0.0)
+        shown = shown or Shown(unit_template(run, effect), disturbances(run))
+        known = refit(theta, plant, [(1.0, clean_s)], effect.size * shown.unit, shown.beside)
+        return known - (path_cost(shown.unit, effect, plant) if kind == "path" else 0.0)
     if effect.cause == "changing_noise":
         part = effect.shape["end"] - effect.shape["begin"]
         changed_s = clean_s + (effect.size**2 - 1) * plant.white_sd_V**2
@@ -95,12 +100,16 @@ def d_nats(run: Run, effect: Effect) -> float:
 def size_for(d_target: float, run: Run, effect: Effect, low: float, high: float) -> Effect | None:
     """Return the effect with the size that has this D, within a range; None where no size there has it."""
 
-    def excess(log_size: float) -> float:
-        return log(max(d_nats(run, replace(effect, size=exp(log_size))), 1e-9)) - log(d_target)
+    shown = None
+    if KINDS[effect.cause] in ("mean", "path"):
+        shown = Shown(unit_template(run, effect), disturbances(run))
+        if not shown.unit.any():
+            return None  # such as a ring-down without a shock
 
-    if KINDS[effect.cause] == "mean" and not unit_template(run, effect).any():
-        return None  # such as a ring-down without a shock
-    at, slope = first_guess(d_target, run, effect, low, high), 2.0
+    def excess(log_size: float) -> float:
+        return log(max(d_nats(run, replace(effect, size=exp(log_size)), shown), 1e-9)) - log(d_target)
+
+    at, slope = first_guess(d_target, run, effect, shown, low, high), 2.0
     beyond = excess(at)
     for _ in range(8):  # secant steps, for a curve that is nearly straight in logarithms
         if abs(beyond) < 0.03:
@@ -116,11 +125,12 @@ def size_for(d_target: float, run: Run, effect: Effect, low: float, high: float)
     return replace(effect, size=exp(brentq(excess, log(low), log(high), xtol=0.01)))
 
 
-def first_guess(d_target: float, run: Run, effect: Effect, low: float, high: float) -> float:
+def first_guess(d_target: float, run: Run, effect: Effect, shown: "Shown | None", low: float, high: float) -> float:
     """Return the logarithm of a size to begin with: of the mean, what would do if nothing were refitted."""
-    if KINDS[effect.cause] != "mean":
+    if shown is None:
         return (log(low) + log(high)) / 2
-    return log(2 * d_target / energy(numbers(run.plant), run.plant, unit_template(run, effect))) / 2
+    known = energy(numbers(run.plant), run.plant, shown.unit, shown.beside)
+    return log(2 * d_target / max(known, 1e-300)) / 2
 
 
 def clairvoyant_d95(cause: str, n: int, level: float = LEVEL) -> float:
@@ -185,45 +195,129 @@ def spectrum(theta: np.ndarray, plant: Plant) -> np.ndarray:
     return first + second + exp(theta[4])
 
 
+@dataclass(frozen=True)
+class Disturbances:
+    """What else happens to the readings at known instants; shapes (n,)."""
+
+    kept: np.ndarray
+    """Which readings are not lost."""
+    mark_var: np.ndarray
+    """Variance, V^2, that a shock adds to the shocks' part of the input, as it stands at the reading's beginning."""
+    part: np.ndarray
+    """How much of it the reading sees: less where the shock comes within the aperture."""
+    fade: float
+    """Of a shock, from one reading to the next."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What one unit of an effect adds to each reading, and what else happens to them."""
+
+    unit: np.ndarray
+    beside: Disturbances
+
+
+def disturbances(run: Run) -> Disturbances:
+    """Return a run's losses and shocks; two shocks between readings are one of both variances."""
+    plant, world = run.plant, make_world(run)
+    kept = ~(world.rng("lost").random(plant.n) < plant.lost_fraction)
+    mark_var, seen = np.zeros(plant.n), np.zeros(plant.n)
+    decay_s, aperture_s = plant.shock_decay_s, plant.inside * plant.step_s
+    whole = decay_s / aperture_s * -np.expm1(-aperture_s / decay_s)
+    for time_s, _ in world.shocks:
+        at = max(ceil((time_s - aperture_s) / plant.interval_s), 0)  # the first reading that does not end before it
+        if at == plant.n:
+            continue
+        late_s = time_s - at * plant.interval_s
+        begun = exp(late_s / decay_s) * whole  # what a whole aperture would have seen
+        part = begun if late_s <= 0 else decay_s / aperture_s * -np.expm1((late_s - aperture_s) / decay_s)
+        mark_var[at] += (plant.shock_sd_V * begun) ** 2
+        seen[at] += plant.shock_sd_V**2 * begun * part
+    part = np.divide(seen, mark_var, out=np.ones(plant.n), where=mark_var > 0)
+    return Disturbances(kept, mark_var, part, exp(-plant.interval_s / decay_s))
+
+
 def refit(
-    theta: np.ndarray, plant: Plant, true_s: Sequence[tuple[float, np.ndarray]], mean: np.ndarray | None
+    theta: np.ndarray,
+    plant: Plant,
+    true_s: Sequence[tuple[float, np.ndarray]],
+    mean: np.ndarray | None,
+    beside: Disturbances | None = None,
 ) -> float:
     """Return the least that the best clean plant loses; the true spectrum in segments, each with its share."""
+    count = plant.n if beside is None else np.count_nonzero(beside.kept)
 
     def loss(numbers: np.ndarray) -> float:
         s = spectrum(numbers, plant)
         lost = sum(share * float(np.mean(true / s - np.log(true / s) - 1)) for share, true in true_s)
-        return plant.n / 2 * lost + (0.0 if mean is None else energy(numbers, plant, mean) / 2)
+        return count / 2 * lost + (0.0 if mean is None else energy(numbers, plant, mean, beside) / 2)
 
     box = [(value - 6, value + 6) for value in theta]
     return float(minimize(loss, theta, method="L-BFGS-B", bounds=box, options={"maxiter": 60}).fun)
 
 
-def energy(theta: np.ndarray, plant: Plant, mean: np.ndarray) -> float:
+def energy(theta: np.ndarray, plant: Plant, mean: np.ndarray, beside: Disturbances | None = None) -> float:
     """Return mean' C^-1 mean, less what a constant takes of it."""
-    keeps = [exp(-plant.interval_s / exp(theta[j])) for j in (1, 3)]
-    white = [
-        whiten(np.asarray(column, float), *keeps, *np.exp(theta[[0, 2, 4]])) for column in (mean, np.ones(plant.n))
-    ]
-    seen, level = white
+    seen, level = (whitened(theta, plant, column, beside) for column in (mean, np.ones(plant.n)))
     return float(seen @ seen - (seen @ level) ** 2 / (level @ level))
 
 
-@njit(cache=True)
+def whitened(theta: np.ndarray, plant: Plant, column: np.ndarray, beside: Disturbances | None = None) -> np.ndarray:
+    """Return C^-1/2 times a column, with what happens beside it in C, or without."""
+    keeps = [exp(-plant.interval_s / exp(theta[j])) for j in (1, 3)]
+    column = np.ascontiguousarray(column, dtype=float)
+    if beside is None:
+        return whiten(column, *keeps, *np.exp(theta[[0, 2, 4]]))
+    return whiten_struck(
+        *(column, *keeps, *np.exp(theta[[0, 2, 4]])), beside.kept, beside.mark_var, beside.part, beside.fade
+    )
+
+
 def whiten(y: np.ndarray, keep1: float, keep2: float, var1: float, var2: float, noise: float) -> np.ndarray:
     """Return innovations over their standard deviations, of two Markov states and white noise."""
-    x1 = x2 = 0.0
-    p11, p12, p22 = var1, 0.0, var2
-    out = np.empty(y.size)
+    calm = np.zeros(y.size)
+    return whiten_struck(y, keep1, keep2, var1, var2, noise, np.ones(y.size, bool), calm, calm, 0.0)
+
+
+@njit(cache=True)
+def whiten_struck(
+    y: np.ndarray,
+    keep1: float,
+    keep2: float,
+    var1: float,
+    var2: float,
+    noise: float,
+    kept: np.ndarray,
+    mark_var: np.ndarray,
+    part: np.ndarray,
+    fade: float,
+) -> np.ndarray:
+    """Return the same with a third state that is struck at known readings; 0 where a reading is lost.
+
+    A reading sees `part` of what strikes at it, and the next one `fade` of it; until then the state is its sum.
+    """
+    x1 = x2 = x3 = 0.0
+    p11, p12, p22, p13, p23, p33 = var1, 0.0, var2, 0.0, 0.0, 0.0
+    out = np.zeros(y.size)
     for k in range(y.size):
-        c1, c2 = p11 + p12, p12 + p22
-        s = c1 + c2 + noise
-        e = y[k] - x1 - x2
-        out[k] = e / np.sqrt(s)
-        x1, x2 = keep1 * (x1 + c1 / s * e), keep2 * (x2 + c2 / s * e)
-        p11 = keep1**2 * (p11 - c1 * c1 / s) + (1 - keep1**2) * var1
-        p12 = keep1 * keep2 * (p12 - c1 * c2 / s)
-        p22 = keep2**2 * (p22 - c2 * c2 / s) + (1 - keep2**2) * var2
+        q, share = mark_var[k], part[k]
+        if kept[k]:
+            c1, c2, c3 = p11 + p12 + p13, p12 + p22 + p23, p13 + p23 + p33
+            s = c1 + c2 + c3 + share * share * q + noise
+            e = y[k] - x1 - x2 - x3
+            c3 += share * q
+            out[k] = e / np.sqrt(s)
+            x1, x2, x3 = x1 + c1 / s * e, x2 + c2 / s * e, x3 + c3 / s * e
+            p11, p12, p22 = p11 - c1 * c1 / s, p12 - c1 * c2 / s, p22 - c2 * c2 / s
+            p13, p23, p33 = p13 - c1 * c3 / s, p23 - c2 * c3 / s, p33 - c3 * c3 / s
+        p33 += q
+        x1, x2, x3 = keep1 * x1, keep2 * x2, fade * x3
+        p11 = keep1**2 * p11 + (1 - keep1**2) * var1
+        p12 *= keep1 * keep2
+        p22 = keep2**2 * p22 + (1 - keep2**2) * var2
+        p13 *= keep1 * fade
+        p23 *= keep2 * fade
+        p33 *= fade**2
     return out
 
 
