@@ -1,5 +1,6 @@
 """The extended model's file is what simulate, acquire and replay take, and on fresh readings it keeps its promise."""
 
+from dataclasses import replace
 from math import inf
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from aemd import model
 from aemd.config import load_config, load_estimator
-from aemd.diagnose import diagnose
+from aemd.diagnose import diagnose, write_extended
 from aemd.diagnose.estimator import estimator_for
 from aemd.diagnose.report import format_promise
 from aemd.replay import replay
@@ -98,6 +99,16 @@ def test_the_file_says_what_the_estimator_does_not_model():
     )
 
     assert notes == ("met as white noise or drift of its variance, not by its own law: periodic_pulse",)
+
+
+def test_where_the_estimator_has_no_place_for_what_was_found_the_file_has_that_of_the_base_and_says_so(found, tmp_path):
+    place, diagnosis = found
+    nothing = replace(diagnosis.promise, taken=False)
+    write_extended(replace(diagnosis, promise=nothing), tmp_path / "extended.toml")
+
+    assert load_estimator(tmp_path / "extended.toml") == load_estimator(place / "base.toml")
+    assert read_model(tmp_path / "extended.toml") == read_model(place / "extended.toml")
+    assert "No estimator here has a place" in (tmp_path / "extended.toml").read_text()
 
 
 def options_of(*parts, effects=()):
