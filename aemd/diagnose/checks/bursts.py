@@ -27,7 +27,7 @@ _LIMIT = 4.0
 """Deviations; of 9,000 normal residuals one is beyond in half the records."""
 _FINER = 2
 """Frequencies for each that is independent, and spans that begin within each other: a tone between two is not lost."""
-_SPANS = {16: ((4, 8), 1), 32: ((4, 8, 16), 2), 64: ((1, 2, 4, 8), 3), 128: ((2, 4, 8), 4)}
+_SPANS = {16: ((4, 8), 1), 32: ((4, 8, 16), 2), 64: ((1, 2, 4, 8, 12), 3), 128: ((2, 4, 8), 4)}
 """By readings of a span: how many spans make a track, and the steepest tone within one, in units of its bandwidth."""
 _TEETH = (4, 6)
 _SHORTEST, _LONGEST = 8, 100
