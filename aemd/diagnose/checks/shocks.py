@@ -1,23 +1,21 @@
-"""The shocks themselves: whether their signs are even, whether they come alone, and what follows them."""
+"""The shocks themselves: whether their signs are even, and whether they come alone."""
 
 from dataclasses import dataclass
 from math import log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom, binomtest, chi2, norm
+from scipy.stats import binom, binomtest, norm
 
-from aemd.diagnose.checks.spectrum import regress
 from aemd.diagnose.evidence import Evidence, bonferroni
 from aemd.diagnose.fit import Fit, densities
 from aemd.diagnose.given import Given
 from aemd.diagnose.kernels import MARKOV
-from aemd.diagnose.terms.events import RingDown, ShockLaw, rung
-from aemd.diagnose.terms.lines import amplitude_cost
+from aemd.diagnose.terms.events import ShockLaw
 from aemd.diagnose.terms.noise import SignalDependentNoise
 from aemd.model import Shocks
 
-__all__ = ["Marks", "check_ring_down", "check_shock_law", "coins_tail", "marks_of"]
+__all__ = ["Marks", "check_shock_law", "coins_tail", "marks_of"]
 
 Floats = NDArray[np.float64]
 
@@ -38,9 +36,6 @@ _LATTICE = 300
 _MOST_COINS = 200
 _SMALL = 0.03
 """Of the largest; what is smaller adds a normal number."""
-_DECAYS = 5
-_LOWEST_TURNS = 1.0
-"""Turns within a decay from which what follows a shock is a wave and no second decay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,54 +191,3 @@ def _positive_part(fit: Fit) -> float:
         elif isinstance(term, Given):
             part = next((shocks.positive_fraction for shocks in term.stated.terms if isinstance(shocks, Shocks)), part)
     return float(np.clip(part, 1e-6, 1 - 1e-6))
-
-
-def check_ring_down(fit: Fit) -> list[Evidence]:
-    """Look for damped waves set off by the shocks, over their frequencies and decays.
-
-    What is laid under the residuals after a shock is known from the shock's own reading, so its correlation with them
-    is a sum whose terms the past decides: its two quadratures, over their own deviations, have chi-square's law.
-    """
-    marks = marks_of(fit)
-    if marks is None or marks.at.size < _LEAST:
-        return []
-    data = fit.data
-    struck = np.zeros(data.y.size)
-    struck[marks.at] = marks.size
-    best, trials = (0.0, 0.0, 1.0), 0.0
-    decays = np.geomspace(4 * data.interval_s, min(100 * data.interval_s, data.span_s / 10), _DECAYS)
-    for decay in decays:
-        spacing = 1 / (4 * decay)
-        for frequency in np.arange(_LOWEST_TURNS / decay, 0.5 / data.interval_s, spacing):
-            wave = rung(struck, data.step_s, float(frequency), float(decay))
-            waves = np.column_stack((wave.real, wave.imag)) / np.sqrt(fit.variance)[:, None]
-            waves[~data.used] = 0.0
-            together = waves.T @ waves
-            scores = waves.T @ fit.z
-            scale = float(np.trace(together))
-            if scale <= 0:  # no reading after the only shocks
-                continue
-            power = float(scores @ np.linalg.solve(together + 1e-9 * scale * np.eye(2), scores))
-            trials += 1
-            if power > best[0]:
-                best = power, float(frequency), float(decay)
-    if not trials:
-        return []
-    power, frequency, decay = best
-    p_value = bonferroni(float(chi2.sf(power, 2)), trials)
-    terms: tuple[RingDown, ...] = ()
-    if p_value < 0.05:
-        wave = rung(struck, data.step_s, frequency, decay)
-        (a, b), _ = regress(fit, [np.ascontiguousarray(wave.real), np.ascontiguousarray(wave.imag)])
-        cost = amplitude_cost(2, data.n) + log(trials)
-        terms = (RingDown(struck, frequency, decay, (float(a), float(b)), cost),)
-    return [
-        Evidence(
-            check="damped waves after the shocks: chi-square of two degrees",
-            p_value=p_value,
-            observed=power,
-            low=float(chi2.isf(0.975 ** (1 / trials) if trials > 1 else 0.975, 2)),
-            high=float(chi2.isf(0.025 / trials, 2)),
-            terms=terms,
-        )
-    ]
