@@ -108,8 +108,8 @@ def _quieted(data: Data, kept: float) -> Floats:
 
     Of m readings of variance 1 the mean with weights kept^j, j < m, that sum to 1.
     """
-    share, _ = _shares(data, kept)
-    return np.asarray((1 - kept) / (1 + kept) * (1 + share) / (1 - share))
+    share, last = _shares(data, kept)
+    return np.where(last >= 0, (1 - kept) / (1 + kept) * (1 + share) / (1 - share), 1.0)
 
 
 def score_log_likelihood(terms: Sequence[Term], theta: Floats, data: Data) -> float:

@@ -1,0 +1,37 @@
+"""A smoothing across gaps: what is left of the last reading is taken off, and a missing reading has no density."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import multivariate_normal
+
+from aemd.diagnose.climb import densities
+from aemd.diagnose.hypothesis import Base, base_box, make_data
+from aemd.diagnose.terms.noise import Smoothing
+from tests.diagnose.plant import INTERVAL_S, series
+
+KEPT = 0.7
+
+
+@pytest.mark.parametrize("lost", [[], [50], [50, 51, 52, 130]])
+def test_the_likelihood_across_gaps_is_that_of_the_dense_covariance_within_a_tenth_of_a_nat_for_each(lost):
+    white = np.random.default_rng(8).standard_normal(200)
+    y = lfilter([1 - KEPT], [1, -KEPT], white, zi=[KEPT * white[0]])[0]  # begins with the first reading itself
+    data = replace(make_data(series(1e-3 * y)), aperture_s=0.0)
+    scale = data.unit_V / 1e-3
+    used = np.ones(y.size, dtype=bool)
+    used[lost] = False
+    data = data.only(used)
+    theta = np.array([np.log(INTERVAL_S), -30.0, 0.0, -30.0, -np.log(scale), -data.origin_V / data.unit_V])
+    terms = [Base(theta, shocks=False, box=base_box(data)), Smoothing(KEPT, 0.0)]
+    each = densities(terms, np.append(theta, np.log(KEPT / (1 - KEPT))), data)
+
+    response = np.tril((1 - KEPT) * KEPT ** np.maximum(np.subtract.outer(np.arange(200), np.arange(200)), 0))
+    response[:, 0] /= 1 - KEPT
+    covariance = (response @ response.T)[np.ix_(used, used)]
+    expected = multivariate_normal(cov=covariance).logpdf(y[used]) + np.count_nonzero(used) * np.log(scale)
+
+    assert each[~used].tolist() == [0.0] * len(lost)
+    assert each.sum() == pytest.approx(expected, abs=0.4 + 0.1 * len(lost))
