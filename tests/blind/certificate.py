@@ -247,13 +247,30 @@ def refit(
     """Return the least that the best clean plant loses; the true spectrum in segments, each with its share."""
     count = plant.n if beside is None else np.count_nonzero(beside.kept)
 
-    def loss(numbers: np.ndarray) -> float:
-        s = spectrum(numbers, plant)
-        lost = sum(share * float(np.mean(true / s - np.log(true / s) - 1)) for share, true in true_s)
-        return count / 2 * lost + (0.0 if mean is None else energy(numbers, plant, mean, beside) / 2)
+    def lost(s: np.ndarray) -> float:
+        return count / 2 * sum(share * float(np.mean(true / s - np.log(true / s) - 1)) for share, true in true_s)
 
-    box = [(value - 6, value + 6) for value in theta]
-    return float(minimize(loss, theta, method="L-BFGS-B", bounds=box, options={"maxiter": 60}).fun)
+    def loss(numbers: np.ndarray) -> float:
+        if mean is None:
+            return lost(spectrum(numbers, plant) + averaged_out(numbers, plant))
+        return lost(spectrum(numbers, plant)) + energy(numbers, plant, mean, beside) / 2
+
+    starts = [theta]
+    if mean is None:  # of a plant's white noise apertures leave less than there is, or less than none
+        real = log(exp(theta[4]) - averaged_out(theta, plant))
+        starts = [np.append(theta[:4], white) for white in (real, real - 4)]
+    tries = []
+    for start in starts:
+        box = [(value - 6, value + 6) for value in start]
+        tries.append(minimize(loss, start, method="L-BFGS-B", bounds=box, options={"maxiter": 60}).fun)
+    return float(min(tries))
+
+
+def averaged_out(theta: np.ndarray, plant: Plant) -> float:
+    """Return the variance, which is negative, that an aperture's mean of two processes has beyond their covariance."""
+    a = plant.inside * plant.step_s / np.exp(theta[[1, 3]])
+    whole = 2 * (a + np.expm1(-a)) * np.exp(-a) / np.expm1(-a) ** 2
+    return float(np.sum(np.exp(theta[[0, 2]]) * (whole - 1)))
 
 
 def energy(theta: np.ndarray, plant: Plant, mean: np.ndarray, beside: Disturbances | None = None) -> float:

@@ -32,8 +32,8 @@ def write_csv(record: Record, path: Path) -> None:
             print(f"{time_s:.9f}", repr(float(value)), *beside, sep=",", file=text)
 
 
-def write_mcap(record: Record, path: Path, interval_s: float) -> None:
-    """Write the topics /dmm/raw and /witness/NAME, as the recordings' schema has them."""
+def write_mcap(record: Record, path: Path, interval_s: float, aperture_s: float | None = None) -> None:
+    """Write the topics /dmm/raw and /witness/NAME, as the recordings' schema has them, and the aperture, if known."""
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start(library="blind")
@@ -54,6 +54,8 @@ def write_mcap(record: Record, path: Path, interval_s: float) -> None:
         for t_ns, _, channel, sequence, payload in sorted(rows):
             writer.add_message(channel, log_time=t_ns, publish_time=t_ns, sequence=sequence, data=payload)
         writer.add_metadata("aemd.segment", {"first_index": "0", "interval_s": repr(interval_s)})
+        if aperture_s is not None:
+            writer.add_metadata("aemd.session", {"aperture_s": repr(aperture_s)})
         writer.finish()
 
 

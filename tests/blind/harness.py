@@ -185,7 +185,7 @@ def write(record: Record, path: Path, envelope: Envelope) -> None:
     if path.suffix == ".csv":
         write_csv(record, path)
     else:
-        write_mcap(record, path, envelope.run.plant.interval_s)
+        write_mcap(record, path, envelope.run.plant.interval_s, envelope.run.plant.aperture_s)
 
 
 def plain(value: Any) -> Any:
