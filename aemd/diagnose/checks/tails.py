@@ -5,6 +5,7 @@ from math import sqrt
 import numpy as np
 from scipy.stats import chi2
 
+from aemd.diagnose.checks.shocks import marks_of
 from aemd.diagnose.climb import Climb
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.terms.lines import amplitude_cost
@@ -23,9 +24,16 @@ _FREEDOM = 3
 """Degrees of chi-square for twice the gain. How often and how large are two; where the base has shocks it never needed,
 those may turn to other readings, once the noise has tails."""
 
+_MERGED = 0.03
+"""Nats a shock that tails gain on a record without them. The filter merges what each shock leaves open (its instant
+within the interval, a second one after it) into one normal number; on 60,000 clean readings with some 500 loud shocks
+that came to 0.02 to 0.033 a shock."""
+
 
 def gain_of_tails(fit: Fit) -> tuple[float, HeavyTails | None]:
     """Return the log-likelihood that tails add to a fit, all else fitted again, and the tails; 0 where there are some.
+
+    What loud shocks alone would have lent them is taken off.
 
     The fourth moment of the residuals does not do alone: shocks that fade within a reading are fitted to tails, and
     what they leave is nearly normal.
@@ -44,7 +52,9 @@ def gain_of_tails(fit: Fit) -> tuple[float, HeavyTails | None]:
             break
         best.step()
     share, sd = np.exp(best.theta[-2:])
-    return best.value - fit.log_likelihood, HeavyTails(float(share), float(sd), cost)
+    marks = marks_of(fit)
+    lent = _MERGED * marks.at.size if marks is not None else 0.0
+    return best.value - fit.log_likelihood - lent, HeavyTails(float(share), float(sd), cost)
 
 
 def tail_of_gain(gain: float) -> float:
