@@ -11,7 +11,8 @@ from aemd.diagnose.fit import fit_base, residuals
 from aemd.diagnose.hypothesis import make_data
 from aemd.diagnose.intervals import describe
 from aemd.diagnose.report import format_finding
-from aemd.diagnose.terms.noise import Resonance, Smoothing
+from aemd.diagnose.terms.events import Popcorn
+from aemd.diagnose.terms.noise import Resonance
 from tests.diagnose.plant import clean, series
 
 NOTHING = Gain(0.0, 0.0, 0.0, 0.0)
@@ -71,13 +72,16 @@ def test_an_interval_is_open_beyond_a_bound_that_the_fit_ended_at(base):
     assert told["frequency_hz"].high - told["frequency_hz"].low == pytest.approx(2 * 1.96 * 0.01 / 4.0, rel=0.01)
 
 
-def test_the_interval_of_a_share_ends_below_all_of_it(base):
-    """kept = 1 / (1 + e^-x) with x = 3 +- 1.96 * 2."""
-    term = Smoothing(0.5, 0.0)
-    fit = residuals([*base.terms, term], np.concatenate((base.theta, [3.0])), base.data)
-    share = describe(fit, 1, np.diag(np.full(fit.theta.size, 4.0)))["fraction"]
+def test_the_interval_of_a_share_ends_at_all_of_it_at_most(base):
+    """Stays of e^3 s above and 1 s below are a share of 0.95; by the delta method alone 0.18 more would be 1.15."""
+    term = Popcorn(1e-3 / base.data.unit_V, 1.0, np.exp(3.0), 0.0)
+    fit = residuals([*base.terms, term], np.concatenate((base.theta, term.start)), base.data)
+    spread = np.diag(np.append(np.full(fit.theta.size - 1, 1e-12), 4.0))
+    share = describe(fit, 1, spread)["fraction"]
 
-    assert (share.low, share.high) == pytest.approx((1 / (1 + np.exp(0.92)), 1 / (1 + np.exp(-6.92))), rel=1e-6)
+    assert share.value == pytest.approx(1 / (1 + np.exp(-3.0)))
+    assert share.low < share.value
+    assert share.high == 1.0
 
 
 def finding(cause: str, parameters: dict[str, Value], experiment: str = "look again") -> Finding:

@@ -97,7 +97,7 @@ class Popcorn:
         return [
             Parameter("step_V", "V", lambda v: exp(v[0]) * unit),
             Parameter("dwell_s", "s", lambda v: (exp(v[1]) + exp(v[2])) / 2),
-            Parameter("fraction", "", lambda v: exp(v[2]) / (exp(v[1]) + exp(v[2]))),
+            Parameter("fraction", "", lambda v: exp(v[2]) / (exp(v[1]) + exp(v[2])), limits=(0.0, 1.0)),
         ]
 
 
