@@ -25,7 +25,7 @@ from tests.blind.plant import (
     thermometer,
 )
 
-__all__ = ["AFTERWARDS", "AT_INPUT", "NOISE", "make_record", "template"]
+__all__ = ["AFTERWARDS", "AT_INPUT", "NOISE", "calm", "make_record", "template"]
 
 
 def make_record(run: Run) -> Record:
@@ -61,6 +61,11 @@ def make_record(run: Run) -> Record:
         if effect.cause in AFTERWARDS:
             record = AFTERWARDS[effect.cause](world, effect, record)
     return lose(record, world.rng("lost").random(record.index.size) < plant.lost_fraction)
+
+
+def calm(run: Run) -> np.ndarray:
+    """Return the readings of the twin without effects, losses and shocks."""
+    return make_record(replace(run, effects=(), plant=replace(run.plant, lost_fraction=0.0, shocks_per_s=0.0))).value_V
 
 
 def template(run: Run, effect: Effect) -> np.ndarray:

@@ -15,7 +15,8 @@ from numba import njit
 from scipy.linalg import block_diag
 from scipy.optimize import minimize
 
-from tests.blind.certificate import KINDS, numbers, unit_template
+from tests.blind.certificate import KINDS, unit_template
+from tests.blind.gaussian import numbers
 from tests.blind.plant import Effect, Plant, Record, Run
 
 __all__ = ["oracle_gain"]

@@ -22,8 +22,9 @@ from math import exp, log
 import numpy as np
 from scipy.optimize import minimize
 
-from tests.blind.certificate import EXTENDED, KINDS, calm, d_nats, numbers, spectrum, unit_template, whiten
-from tests.blind.injector import thermal
+from tests.blind.certificate import EXTENDED, KINDS, d_nats, unit_template
+from tests.blind.gaussian import numbers, spectrum, whiten
+from tests.blind.injector import calm, thermal
 from tests.blind.plant import Effect, Plant, Run, make_world, supply, thermometer
 
 __all__ = ["TOLD_APART", "rival_nats"]

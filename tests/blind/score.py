@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta, binom
 
-from tests.blind.certificate import KINDS, numbers
+from tests.blind.certificate import KINDS
 from tests.blind.envelope import Envelope
+from tests.blind.gaussian import numbers
 from tests.blind.harness import Answer
 from tests.blind.plant import Effect, Plant, Run, make_world, supply
 from tests.blind.rivals import TOLD_APART

@@ -6,7 +6,7 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from tests.blind.certificate import disturbances, energy, numbers
+from tests.blind.gaussian import disturbances, energy, numbers
 from tests.blind.plant import Plant, Run, add_shock, make_world
 
 PLANT = Plant(

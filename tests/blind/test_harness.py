@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from tests.blind.certificate import d_nats, numbers
+from tests.blind.certificate import d_nats
 from tests.blind.envelope import Envelope, Mix, draw
+from tests.blind.gaussian import numbers
 from tests.blind.harness import ANSWERS, Answer, open_folder, shut
 from tests.blind.injector import make_record
 from tests.blind.oracle import filtered, oracle_gain, with_effect

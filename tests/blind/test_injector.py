@@ -10,9 +10,10 @@ import pytest
 from scipy.optimize import minimize
 
 from aemd.record.reader import Recording
-from tests.blind.certificate import KINDS, clairvoyant_d95, d_nats, numbers, size_for, spectrum, turns, whiten
+from tests.blind.certificate import KINDS, clairvoyant_d95, d_nats, size_for
 from tests.blind.envelope import OUTSIDE, RANGES, SINGLE, Mix, draw, draw_plant, draw_shape
 from tests.blind.files import START_NS, write_csv, write_mcap
+from tests.blind.gaussian import numbers, spectrum, turns, whiten
 from tests.blind.injector import AFTERWARDS, AT_INPUT, NOISE, make_record, template
 from tests.blind.plant import Effect, Plant, Run, markov
 
