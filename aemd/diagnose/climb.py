@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aemd.diagnose.hypothesis import Data, Parts, Seen, Term
-from aemd.diagnose.kernels import follow_telegraph, log_densities
+from aemd.diagnose.kernels import log_densities, telegraph_densities
 
 __all__ = [
     "HOPELESS",
@@ -126,7 +126,7 @@ def densities(terms: Sequence[Term], theta: Floats, data: Data) -> Floats:
     if parts.telegraph is None:
         each = log_densities(seen.y, used, step_s, *arguments) + slope
     else:
-        each = follow_telegraph(parts.telegraph, seen.y, used, step_s, *arguments)[0] + slope
+        each = telegraph_densities(parts.telegraph, seen.y, used, step_s, *arguments) + slope
     return each if np.isfinite(each).all() else np.full(each.size, -_IMPOSSIBLE)
 
 

@@ -695,7 +695,7 @@ def _follow_telegraph(
             if weight[q] < _NEGLIGIBLE:
                 weight[q] = 0.0
                 continue
-            # As in kernels.py: both hypotheses move the state along a direction, with the jump in it or without.
+            # As without a level: both hypotheses move the state along a direction, with the jump in it or without.
             s, e = spread[q], apart[q]
             wide, w = s + rise_var, moving[q] / seen
             v, by, more = 1.0 - w, e / s, e / wide

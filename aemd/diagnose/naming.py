@@ -52,6 +52,7 @@ _LEAST_BESIDE = 2.5
 """Nats that the rings of all shocks must add where the loudest of them is not: its share is that of its square, which
 may be most, and waves laid after shocks that set off none cost what they should have added."""
 _MOST_OF_A_RING = 0.92
+"""Both set on some dozen records with rings, and one with a packet, of our own making."""
 _LEAST_TURNS = 3.0
 """Of what is said to come again, in a record."""
 _LEAST_TO_COLOUR = 20
@@ -62,7 +63,7 @@ _MOST_TO_SPLIT = 200_000
 _CLEARLY = 2.0
 """Nats."""
 _SELDOM = log(3.0)
-"""Nats against a rival from outside of the catalogue, which holds three in four of what is met."""
+"""Nats against a rival from outside of the catalogue: a judgement of how seldom those are, derived from nothing."""
 NOT_WHITE = "which would be white, and this is not"
 """Why a noise that changes is refused; what else is in the record may be what colours it."""
 

@@ -5,7 +5,6 @@ or that lost its power, shows here; false-alarm rates and power curves are the l
 """
 
 from dataclasses import replace
-from math import sqrt
 
 import numpy as np
 import pytest
@@ -19,18 +18,10 @@ from aemd.diagnose.series import Series
 from tests.blind.envelope import draw_plant
 from tests.blind.files import write_csv, write_mcap
 from tests.blind.injector import make_record
-from tests.blind.plant import Effect, Plant, Run
+from tests.blind.made import USUAL
+from tests.blind.plant import Effect, Run
 
-PLANT = Plant(
-    n=3000,
-    interval_s=0.0684,
-    aperture_s=0.01,
-    signal_sd_V=1e-3,
-    signal_tau_s=0.5,
-    drift_rate_V_per_rt_s=1e-3 * sqrt(2 / 60),
-    drift_tau_s=60.0,
-    white_sd_V=5e-4,
-)
+PLANT = replace(USUAL, n=3000, interval_s=0.0684, aperture_s=0.01)
 SHORT = replace(PLANT, n=1500)
 """For what is seen by counting."""
 SHAKEN = replace(PLANT, shocks_per_s=0.3, shock_sd_V=0.02, shock_decay_s=0.2)

@@ -1,24 +1,15 @@
 """The certificates of a changed mean: what shocks and losses take of it, against the dense covariance."""
 
 from dataclasses import replace
-from math import sqrt
 
 import numpy as np
 import pytest
 
 from tests.blind.gaussian import disturbances, energy, numbers
-from tests.blind.plant import Plant, Run, add_shock, make_world
+from tests.blind.made import USUAL
+from tests.blind.plant import Run, add_shock, make_world
 
-PLANT = Plant(
-    n=300,
-    interval_s=0.06712,
-    aperture_s=0.02,
-    signal_sd_V=1e-3,
-    signal_tau_s=0.5,
-    drift_rate_V_per_rt_s=1e-3 * sqrt(2 / 60),
-    drift_tau_s=60.0,
-    white_sd_V=5e-4,
-)
+PLANT = replace(USUAL, n=300)
 
 
 def test_shocks_at_known_instants_and_lost_readings_are_part_of_the_covariance():

@@ -13,19 +13,11 @@ from tests.blind.envelope import Envelope, Mix, draw
 from tests.blind.gaussian import numbers
 from tests.blind.harness import ANSWERS, Answer, open_folder, shut
 from tests.blind.injector import make_record
+from tests.blind.made import USUAL
 from tests.blind.oracle import filtered, oracle_gain, with_effect
-from tests.blind.plant import Effect, Plant, Run
+from tests.blind.plant import Effect, Run
 
-PLANT = Plant(
-    n=1500,
-    interval_s=0.0684,
-    aperture_s=0.01,
-    signal_sd_V=1e-3,
-    signal_tau_s=0.5,
-    drift_rate_V_per_rt_s=1e-3 * sqrt(2 / 60),
-    drift_tau_s=60.0,
-    white_sd_V=5e-4,
-)
+PLANT = replace(USUAL, n=1500, interval_s=0.0684, aperture_s=0.01)
 
 
 def test_a_run_goes_on_with_the_same_key_and_the_answers_that_are_whole(tmp_path):

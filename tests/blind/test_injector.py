@@ -15,18 +15,10 @@ from tests.blind.envelope import OUTSIDE, RANGES, SINGLE, Mix, draw, draw_plant,
 from tests.blind.files import START_NS, write_csv, write_mcap
 from tests.blind.gaussian import numbers, spectrum, turns, whiten
 from tests.blind.injector import AFTERWARDS, AT_INPUT, NOISE, make_record, template
-from tests.blind.plant import Effect, Plant, Run, markov
+from tests.blind.made import USUAL
+from tests.blind.plant import Effect, Run, markov
 
-PLANT = Plant(
-    n=4000,
-    interval_s=0.06712,
-    aperture_s=0.02,
-    signal_sd_V=1e-3,
-    signal_tau_s=0.5,
-    drift_rate_V_per_rt_s=1e-3 * sqrt(2 / 60),
-    drift_tau_s=60.0,
-    white_sd_V=5e-4,
-)
+PLANT = replace(USUAL, n=4000)
 RUN = Run(PLANT, seed=11)
 
 

@@ -83,11 +83,14 @@ def test_some_even_teeth_of_a_saw_are_found_and_uneven_ones_are_not(fit):
     assert begin_s == pytest.approx(1500 * INTERVAL_S, abs=120 * INTERVAL_S)
 
 
-def test_a_hump_is_found_and_one_shock_of_the_same_size_is_none(fit):
+def test_a_hump_is_found_and_one_shock_that_is_much_louder_is_none(fit):
     since = times() - 120.0
     bell = np.exp(-0.5 * (since / 4.0) ** 2)
-    shock = np.where(since >= 0, np.exp(-np.maximum(since, 0) / 0.8), 0.0)
-    hump, blow = (check_hump(drawn(fit, white(3) + worth(fit.whitened(shape), 40.0))) for shape in (bell, shock))
+    shock = np.where(since >= 0, np.exp(-np.maximum(since, 0) / 1.5), 0.0)
+    hump, blow = (
+        check_hump(drawn(fit, white(3) + worth(fit.whitened(shape), nats)))
+        for shape, nats in ((bell, 40.0), (shock, 150.0))  # of which a bell alone would see 4e-10
+    )
 
     assert hump.p_value < ACTED_ON
     assert hump.terms[0].centre_s == pytest.approx(120.0, abs=3.0)

@@ -57,21 +57,19 @@ def check_popcorn(fit: Fit) -> Evidence:
     if data is None:
         return _evidence(0.0, ())
     one = float(np.sqrt(np.median(fit.variance[fit.data.used])))
-    begun = list[Climb]()
+    begun = list[tuple[Climb, _Beside, Popcorn]]()
     for base in _bases(fit):
         held = _Beside(fit.terms, base)
         for size, stay in product(_SIZES, _STAYS):
             if stay * data.interval_s < data.span_s / 4:
                 term = Popcorn(size * one, stay * data.interval_s, stay * data.interval_s, 0.0)
-                begun.append(Climb([held, term], np.concatenate((held.start, term.start)), data))
-    climbing = sorted(begun, key=lambda climb: -climb.value)[:_CLIMBING]
-    if not climbing or climbing[0].value < before - _BEHIND:
+                begun.append((Climb([held, term], np.concatenate((held.start, term.start)), data), held, term))
+    climbing = sorted(begun, key=lambda start: -start[0].value)[:_CLIMBING]
+    if not climbing or climbing[0][0].value < before - _BEHIND:
         return _evidence(0.0, ())
-    for climb in climbing:
+    for climb, _, _ in climbing:
         _go_on(climb, _STEPS, before - _PROMISING)
-    best = max(climbing, key=lambda climb: climb.value)
-    beside, jumping = best.terms
-    assert isinstance(beside, _Beside)  # noqa: S101 - by construction
+    best, beside, jumping = max(climbing, key=lambda start: start[0].value)
     theta = np.concatenate((beside.whole(best.theta[:-3]), best.theta[-3:]))
     value = best.value
     if value > before - _PROMISING:  # with all numbers free
@@ -147,9 +145,8 @@ def _part(fit: Fit) -> tuple[Data | None, float]:
     """Return the readings that are judged, and what the model makes of them, nats."""
     if any(isinstance(term, Popcorn) for term in fit.terms):
         return None, 0.0
-    if (
-        assemble(fit.terms, fit.theta, fit.data)[0].low is not None
-    ):  # the probability of an interval and the density of its middle are no rivals
+    # The probability of an interval and the density of its middle are no rivals.
+    if assemble(fit.terms, fit.theta, fit.data)[0].low is not None:
         return None, 0.0
     if np.count_nonzero(~fit.data.used) > _KEPT_OUT * fit.data.y.size:
         return None, 0.0
