@@ -14,7 +14,7 @@ from aemd.diagnose.checks.shocks import check_shock_law, coins_tail
 from aemd.diagnose.checks.tails import gain_of_tails, tail_of_gain
 from aemd.diagnose.fit import fit_base
 from aemd.diagnose.hypothesis import make_data
-from aemd.diagnose.kernels import MARKOV, telegraph_densities
+from aemd.diagnose.kernels import MARKOV, log_densities, telegraph_densities
 from aemd.diagnose.steadiness import allan_deviation
 from aemd.diagnose.terms.events import rung
 from aemd.diagnose.terms.noise import HeavyTails
@@ -82,6 +82,20 @@ def test_a_shock_beside_the_telegraph_is_a_shock():
 
     nats = telegraph_nats(y, step, low_s, high_s, noise, at_once, (rate, size, 0.0))
     assert nats == pytest.approx(np.log(total), rel=1e-3)
+
+
+def test_beside_a_level_that_never_rises_shocks_are_followed_as_without_it():
+    """Each shock fades over three readings, so what the filter makes of one shows in the readings after it."""
+    rng = np.random.default_rng(6)
+    n, noise, rate, size = 60, 0.3, 0.1, 36.0
+    y = np.sqrt(noise) * rng.standard_normal(n)
+    y[20:] += 7.0 * np.exp(-np.arange(40) / 3)
+    fading = np.array([[MARKOV, 3.0, 0.0, 0.0, 0.0, 1.0]])
+    shocks = np.array([rate, size, 0.0])
+    columns = np.ones(n), np.zeros(n), np.full(n, noise), np.ones(n)
+    without = log_densities(y, np.ones(n, bool), *columns, fading, shocks, np.zeros(6)).sum()
+
+    assert telegraph_nats(y, 2.0, 1e15, 1.0, noise, fading, shocks) == pytest.approx(without, abs=1e-6)
 
 
 def test_the_law_of_coins_is_the_count_of_their_sides():
