@@ -152,7 +152,8 @@ def _ask_host(host: str, timeout_s: float, named: list[Device]) -> None:
         why = (error.strerror or str(error)).lower()
         named.append(Device("", "LAN", host, f"{why}; is it on, and is the address right?"))
         return
-    said = answer.decode("ascii", errors="backslashreplace").strip()
+    # Whoever listens there may say anything, also what would move a terminal's cursor.
+    said = "".join(filter(str.isprintable, answer.decode("ascii", errors="backslashreplace").strip()))
     named.append(Device(f"TCPIP0::{name}::{number}::SOCKET", "LAN", said or host))
 
 

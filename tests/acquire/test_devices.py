@@ -85,7 +85,7 @@ def test_a_named_host_is_asked_who_it_is_and_a_silent_or_absent_one_is_told_of(t
             line, _ = talking.accept()
             with line:
                 if line.recv(100) == b"*IDN?\n":
-                    line.sendall(b"Agilent Technologies,34410A,MY1,2.35\n")
+                    line.sendall(b"\x1bAgilent Technologies,34410A,MY1,2.35\a\n")  # no terminal should see all of that
 
         thread = threading.Thread(target=answer)
         thread.start()
