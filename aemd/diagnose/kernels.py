@@ -35,6 +35,7 @@ __all__ = [
     "PAIR_SECOND",
     "PREVIOUS",
     "WHITE",
+    "colour",
     "follow_telegraph",
     "log_densities",
     "predict",
@@ -488,6 +489,37 @@ def whiten(template: Floats, step_s: Floats, states: Floats, gains: Floats, used
         for i in range(m):
             x[i] += gains[k, i] * e
     return left
+
+
+@njit(cache=True)
+def colour(
+    innovation: Floats, jump: Floats, struck: Floats, step_s: Floats, states: Floats, gains: Floats, scale: Floats
+) -> Floats:
+    """Return readings less their mean, shape (n,), that have these innovations under the filter with these gains.
+
+    The inverse of `whiten`, and so a draw from a Gaussian hypothesis where the innovations are drawn: it needs no white
+    noise beside the states, of which there is less than none where apertures average out much of a process. On top,
+    jumps of the states along `struck`, of each reading's size, shape (n,), which the filter does not know of.
+    """
+    m, n = states.shape[0], innovation.size
+    keep, turn, noise = np.zeros(_MOST), np.zeros(_MOST), np.zeros(_MOST)
+    x, beside, y = np.zeros(m), np.zeros(m), np.zeros(n)
+    last_step = -1.0
+    for k in range(n):
+        if step_s[k] != last_step:
+            last_step = step_s[k]
+            transition(last_step, states, keep, turn, noise)
+        if k > 0:
+            advance_vector(states, keep, turn, x)
+            advance_vector(states, keep, turn, beside)
+        state = 0.0
+        for i in range(m):
+            beside[i] += jump[k] * struck[i]
+            state += states[i, 5] * (x[i] + beside[i])
+        y[k] = scale[k] * state + innovation[k]
+        for i in range(m):
+            x[i] += gains[k, i] * innovation[k]
+    return y
 
 
 def follow_telegraph(

@@ -1,5 +1,8 @@
 """All checks on the residuals of a fit, in one list."""
 
+from collections.abc import Callable
+from functools import partial
+
 from aemd.diagnose.checks.bursts import check_teeth, check_tracks
 from aemd.diagnose.checks.colour import check_colour, check_resonance
 from aemd.diagnose.checks.folding import check_periodic_glitch
@@ -17,39 +20,56 @@ from aemd.diagnose.checks.witnessed import check_witness
 from aemd.diagnose.evidence import Evidence
 from aemd.diagnose.fit import Fit
 
-__all__ = ["check_all"]
+__all__ = ["Check", "check_all", "check_each"]
+
+Check = Callable[[Fit], list[Evidence]]
 
 _CERTAIN = 1e-12
 
 
 def check_all(fit: Fit, line_frequency_hz: float | None) -> list[Evidence]:
     """Return the evidence of every check, significant or not."""
-    line, band = check_lines(fit, make_periodogram(fit), line_frequency_hz), check_resonance(fit)
+    return [item for item, _ in check_each(fit, line_frequency_hz)]
+
+
+def check_each(fit: Fit, line_frequency_hz: float | None) -> list[tuple[Evidence, Check]]:
+    """Return the evidence of every check, and with each the check, to be run on another fit."""
+
+    def lines(fit: Fit) -> list[Evidence]:
+        return [check_lines(fit, make_periodogram(fit), line_frequency_hz)]
+
+    def glitch(fit: Fit) -> list[Evidence]:
+        return [check_periodic_glitch(fit, lines(fit)[0].observed)]
+
+    (line,), (band,) = lines(fit), _band(fit)
     found = [
-        line,
-        check_wandering_line(fit),
-        check_periodic_glitch(fit, line.observed),
-        check_pattern(fit),
-        band,
-        *check_colour(fit),
-        check_step(fit),
-        check_warm_up(fit),
-        check_hole(fit),
-        check_overlap(fit),
-        check_range_switching(fit),
-        *check_moments(fit),
-        *check_variance(fit),
-        *check_shock_law(fit),
-        *check_ring_down(fit),
-        check_hump(fit),
-        check_echo(fit),
-        check_course(fit),
-        check_tracks(fit),
-        check_teeth(fit),
+        (line, lines),
+        (check_wandering_line(fit), _alone(check_wandering_line)),
+        (check_periodic_glitch(fit, line.observed), glitch),
+        (check_pattern(fit), _alone(check_pattern)),
+        (band, _band),
     ]
+    found += [(item, check) for check in _CHECKS for item in check(fit)]
     # A level that jumps has no line and no band; while there are some the costly search for it would be in vain.
     if len(fit.terms) == 1 or min(line.p_value, band.p_value) > _CERTAIN:
-        found.append(check_popcorn(fit))
+        found.append((check_popcorn(fit), _alone(check_popcorn)))
     for name in sorted(fit.data.witnesses):
-        found += check_witness(fit, name)
+        witness = partial(check_witness, name=name)
+        found += [(item, witness) for item in witness(fit)]
     return found
+
+
+def _alone(check: Callable[[Fit], Evidence]) -> Check:
+    return lambda fit: [check(fit)]
+
+
+_band = _alone(check_resonance)
+_CHECKS: tuple[Check, ...] = (
+    check_colour,
+    *map(_alone, (check_step, check_warm_up, check_hole, check_overlap, check_range_switching)),
+    check_moments,
+    check_variance,
+    check_shock_law,
+    check_ring_down,
+    *map(_alone, (check_hump, check_echo, check_course, check_tracks, check_teeth)),
+)
