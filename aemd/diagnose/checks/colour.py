@@ -9,10 +9,11 @@ from math import exp, log, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import gamma, norm
+from scipy.stats import chi2, gamma, norm
 
+from aemd.diagnose.checks.gains import LONG, gain_of, tail_of_one
 from aemd.diagnose.evidence import Evidence, bonferroni, weighted_chi2_tail
-from aemd.diagnose.fit import Fit
+from aemd.diagnose.fit import Fit, begin_with
 from aemd.diagnose.hypothesis import Base
 from aemd.diagnose.kernels import MARKOV, PAIR
 from aemd.diagnose.terms.lines import amplitude_cost
@@ -35,6 +36,10 @@ _PRESENT = 0.1
 """Of a part of the base: its spectrum over the whole, as the root of a sum of squares over the frequencies. Below it,
 half a nat per hundred, the part is at its bound and nothing was fitted by it; its shape, at whatever time constant it
 was left at, must not be taken out of what is tested."""
+
+
+_KEPT = 0.4
+"""Where the search for a smoothing begins; from there the likelihood leads to weak ones and to strong ones."""
 
 
 class _Score:
@@ -115,8 +120,7 @@ def check_colour(fit: Fit) -> list[Evidence]:
     sd = sqrt(score.size_of(sine, value))
     found.append(_one_sided("noise that rises towards half the rate", value, p_value, (DifferenceNoise(sd, one),)))
 
-    value, p_value = score.test(-sine * score.base)
-    found.append(_one_sided("noise that falls towards half the rate", value, p_value, smoothings(n)))
+    found.append(_smoothed(fit, score, sine))
 
     processes = zip(*flicker_processes(0.3 / data.span_s, 0.5 / data.interval_s), strict=True)
     flicker = np.sum([v * 2 / tau * score.markov(tau) for tau, v in processes], axis=0)
@@ -156,6 +160,34 @@ def _one_sided(check: str, value: float, p_value: float, terms: tuple[object, ..
         high=float(norm.ppf(0.975 ** (1 / trials))),
         terms=terms,  # type: ignore[arg-type] # each is a Term
     )
+
+
+def _smoothed(fit: Fit, score: _Score, sine: Floats) -> Evidence:
+    """Look for a smoothing: by what it adds to the likelihood, or in a long record by the score of a weak one."""
+    terms, gain = smoothings(fit.data.n), gain_of_smoothing(fit)
+    if gain is None:
+        value, p_value = score.test(-sine * score.base)
+        return _one_sided("noise that falls towards half the rate", value, p_value, terms)
+    return Evidence(
+        check="noise that falls towards half the rate: nats gained by a smoothing",
+        p_value=tail_of_one(gain),
+        observed=gain,
+        low=0.0,
+        high=float(chi2.isf(0.05, 1)) / 2,
+        terms=terms,
+    )
+
+
+def gain_of_smoothing(fit: Fit) -> float | None:
+    """Return the log-likelihood that a smoothing adds to a fit, all else fitted again; None where it is not sought.
+
+    The slope at no smoothing sees a weak one. A strong one bends the spectrum in another way, to which the refitted
+    base gives in, and what comes after a shock shows it as well as the spectrum does.
+    """
+    if fit.data.n > LONG or any(isinstance(term, Smoothing) for term in fit.terms):
+        return None
+    term = Smoothing(_KEPT, 0.0)
+    return gain_of(fit, [(term, begin_with(fit, term)[0])])[0]
 
 
 def smoothings(n: int) -> tuple[Smoothing, ...]:

@@ -5,8 +5,8 @@ from math import sqrt
 import numpy as np
 from scipy.stats import chi2
 
+from aemd.diagnose.checks.gains import LONG, gain_of
 from aemd.diagnose.checks.shocks import marks_of
-from aemd.diagnose.climb import Climb
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.terms.lines import amplitude_cost
 from aemd.diagnose.terms.noise import HeavyTails
@@ -15,11 +15,6 @@ __all__ = ["gain_of_tails", "tail_of_gain"]
 
 _STARTS = ((0.005, 3.0), (0.05, 1.7))
 """Part of the readings, and deviation in those of the innovation."""
-_LONG = 100_000
-"""Readings from which the fourth moment does alone; it tells the more the longer a record is."""
-_FIRST_STEPS, _LAST_STEPS = 2, 10
-_PROMISING = 6.0
-"""Nats that a climb must have hope of after its first steps."""
 _FREEDOM = 3
 """Degrees of chi-square for twice the gain. How often and how large are two; where the base has shocks it never needed,
 those may turn to other readings, once the noise has tails."""
@@ -38,23 +33,16 @@ def gain_of_tails(fit: Fit) -> tuple[float, HeavyTails | None]:
     The fourth moment of the residuals does not do alone: shocks that fade within a reading are fitted to tails, and
     what they leave is nearly normal.
     """
-    if fit.data.n > _LONG or any(isinstance(term, HeavyTails) for term in fit.terms):
+    if fit.data.n > LONG or any(isinstance(term, HeavyTails) for term in fit.terms):
         return 0.0, None
     core = sqrt(float(np.median(fit.variance[fit.data.used])))
     cost = amplitude_cost(2, fit.data.n)
-    begun = [
-        Climb([*fit.terms, tails], np.concatenate((fit.theta, tails.start)), fit.data)
-        for tails in (HeavyTails(share, ratio * core, cost) for share, ratio in _STARTS)
-    ]
-    best = max(begun, key=lambda one: one.value)
-    for count in range(_LAST_STEPS):
-        if best.done or (count >= _FIRST_STEPS and best.hope < fit.log_likelihood + _PROMISING):
-            break
-        best.step()
-    share, sd = np.exp(best.theta[-2:])
+    begun = [HeavyTails(share, ratio * core, cost) for share, ratio in _STARTS]
+    gain, theta = gain_of(fit, [(tails, np.concatenate((fit.theta, tails.start))) for tails in begun])
+    share, sd = np.exp(theta[-2:])
     marks = marks_of(fit)
     lent = _MERGED * marks.at.size if marks is not None else 0.0
-    return best.value - fit.log_likelihood - lent, HeavyTails(float(share), float(sd), cost)
+    return gain - lent, HeavyTails(float(share), float(sd), cost)
 
 
 def tail_of_gain(gain: float) -> float:

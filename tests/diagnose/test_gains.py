@@ -1,0 +1,53 @@
+"""What a term adds to the likelihood, where its score at nothing sees too little."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from aemd.diagnose.checks.colour import gain_of_smoothing
+from aemd.diagnose.checks.gains import tail_of_one
+from aemd.diagnose.checks.moments import gain_of_bend
+from aemd.diagnose.fit import fit_base
+from aemd.diagnose.hypothesis import make_data
+from aemd.diagnose.terms.shapes import Nonlinearity
+from tests.diagnose.plant import clean, series
+
+NOTHING = Nonlinearity(0.0, 0.0)
+
+
+def smoothed(y, kept):
+    return lfilter([1 - kept], [1, -kept], y, zi=[kept * y[0]])[0]
+
+
+@pytest.mark.parametrize(("seed", "kept"), [(2, 0.5), (3, 0.85)])
+def test_a_smoothing_is_seen_be_it_middling_or_strong(seed, kept):
+    gain = gain_of_smoothing(fit_base(make_data(series(smoothed(clean(seed), kept)))))
+
+    assert tail_of_one(gain) < 1e-4
+
+
+def test_a_bend_shows_in_what_is_fast_and_in_the_noise_too():
+    """y = x + b x^2 is no Gaussian process; of white x of variance s^2 its skewness 6 b s alone is worth
+    3 n b^2 s^2 nats, of which the mean's part, b^2 s^2, and the slope's, twice as much, are both there to be seen."""
+    n, b = 3000, 0.05
+    x = np.random.default_rng(4).standard_normal(n)
+    fit = fit_base(make_data(series(1.0 + 1e-3 * (x + b * x**2))))
+
+    assert not fit.base.shocks
+    assert gain_of_bend(fit, NOTHING) == pytest.approx(3 * n * b**2, abs=3 * np.sqrt(2 * 3 * n * b**2))
+
+
+def test_shocks_too_few_for_a_sum_show_a_bend():
+    """40 shocks of 8 deviations, bent by b = 0.02: each decay is off by b (8 e^-t)^2, some deviations of the noise."""
+    y = 1e3 * (clean(7, shocks_per_s=0.15) - 1.0)
+    fit = fit_base(make_data(series(1.0 + 1e-3 * (y + 0.02 * y**2))))
+
+    assert tail_of_one(gain_of_bend(fit, NOTHING)) < 1e-6
+
+
+@pytest.mark.parametrize(("seed", "shocks_per_s"), [(21, 0.0), (23, 0.05)])
+def test_a_record_without_them_gains_little(seed, shocks_per_s):
+    fit = fit_base(make_data(series(clean(seed, shocks_per_s=shocks_per_s))))
+
+    assert tail_of_one(gain_of_smoothing(fit)) > 0.01
+    assert tail_of_one(gain_of_bend(fit, NOTHING)) > 0.01
