@@ -111,15 +111,17 @@ def as_tables(made: model.Model) -> Mapping[str, Any]:
 
 def _base(base: Base, v: Floats, fit: Fit, aperture_s: float) -> list[Any]:
     unit, span = fit.data.unit_V, fit.data.span_s
-    drift_tau_s = exp(v[2])
     # What is fitted is at instants; the model's processes are averaged, which takes from the white noise what is fast.
-    kept, lost = zip(*(averaged_markov(exp(v[at]), exp(v[at + 1]), aperture_s) for at in (0, 2)), strict=True)
-    signal, drift = (exp(v[at + 1]) ** 2 / rate for at, rate in zip((0, 2), kept, strict=True))
+    # The fit may have the two change places; the drift is what is both slower and moves less from reading to reading.
+    ways = (2, 0) if v[2] < v[0] and v[3] > v[1] else (0, 2)
+    kept, lost = zip(*(averaged_markov(exp(v[at]), exp(v[at + 1]), aperture_s) for at in ways), strict=True)
+    signal_tau_s, drift_tau_s = (exp(v[at]) for at in ways)
+    signal, drift = (exp(v[at + 1]) ** 2 / rate for at, rate in zip(ways, kept, strict=True))
     beside = exp(2 * v[4]) + sum(averaged_out(exp(v[at]), exp(v[at + 1]), fit.data.aperture_s) for at in (0, 2))
     white = sqrt(max(beside * _quietest(fit) ** 2 - sum(lost), _LEAST_PART * exp(2 * v[4])))
     made: list[Any] = [
         model.Level(level_V=float(v[5] * unit + fit.data.origin_V)),
-        model.GaussMarkov(role="signal", rate_V_per_rt_s=signal * unit, tau_s=exp(v[0])),
+        model.GaussMarkov(role="signal", rate_V_per_rt_s=signal * unit, tau_s=signal_tau_s),
         model.GaussMarkov(
             role="internal",
             rate_V_per_rt_s=drift * unit,

@@ -1,0 +1,90 @@
+"""A promise is tried on figures that the readings leave open, and says where one more record's are in 95 %."""
+
+import numpy as np
+import pytest
+
+from aemd.diagnose.fit import refit, residuals
+from aemd.diagnose.hypothesis import Base, base_box, make_data
+from aemd.diagnose.intervals import covariance
+from aemd.diagnose.promise import _further, _left_open
+from aemd.diagnose.translate import to_model
+from tests.diagnose.plant import INTERVAL_S, clean, markov, series
+
+N = 250
+SD, TAU_S, WHITE = 1.0, 3.0, 0.2
+RATE = SD * np.sqrt(2 / TAU_S)
+
+
+@pytest.fixture(scope="module")
+def short():
+    """Some turns of a drift whose rate is known, and the most likely time constant and level."""
+    rng = np.random.default_rng(5)
+    data = make_data(series(1e-3 * (markov(rng, N, TAU_S, SD) + WHITE * rng.standard_normal(N))))
+    u = data.unit_V / 1e-3
+    theta = np.array([np.log(INTERVAL_S), -12.0, np.log(TAU_S), np.log(RATE / u), np.log(WHITE / u), 0.0])
+    box = tuple(
+        bound if number in (2, 5) else (value, value)
+        for number, (value, bound) in enumerate(zip(theta, base_box(data), strict=True))
+    )
+    return refit([Base(theta, shocks=False, box=box)], data)
+
+
+def law_of_log_tau(fit, u: float) -> tuple[float, float]:
+    """Mean and deviation of log tau by dense covariances, the level integrated out, tau even in its logarithm."""
+    t_s = fit.data.t_s
+    tried = np.linspace(np.log(3 * INTERVAL_S), np.log(2 * fit.data.span_s), 40)
+    logs = []
+    for tau_s in np.exp(tried):
+        dense = RATE**2 * tau_s / 2 * np.exp(-np.abs(t_s[:, None] - t_s) / tau_s) + WHITE**2 * np.eye(N)
+        solved = np.linalg.solve(dense, np.column_stack((fit.data.y * u, np.ones(N))))
+        known = solved[:, 1].sum()
+        squares = fit.data.y * u @ solved[:, 0] - solved[:, 0].sum() ** 2 / known
+        logs.append(-0.5 * (np.linalg.slogdet(dense)[1] + np.log(known) + squares))
+    weights = np.exp(np.array(logs) - max(logs))
+    weights /= weights.sum()
+    mean = float(weights @ tried)
+    return mean, float(np.sqrt(weights @ (tried - mean) ** 2))
+
+
+def test_drifts_are_drawn_as_slow_as_the_readings_allow(short):
+    mean, sd = law_of_log_tau(short, short.data.unit_V / 1e-3)
+    drawn = _left_open(short, covariance(short), np.random.default_rng(1))[:, 2]
+
+    assert mean > short.theta[2] + 0.2  # the likeliest is too short
+    assert drawn.mean() == pytest.approx(mean, abs=0.3 * sd)
+    assert drawn.std() == pytest.approx(sd, rel=0.3)
+
+
+def test_what_is_known_well_is_drawn_from_its_normal_law():
+    data = make_data(series(clean(3, 3_000)))
+    theta = np.array([np.log(0.5), 0.0, np.log(60.0), -2.5, -0.7, 0.0])
+    fit = refit([Base(theta, shocks=False, box=base_box(data))], data)
+    spread = covariance(fit)
+    drawn = _left_open(fit, spread, np.random.default_rng(1))
+
+    for number in (0, 1, 4):  # signal and white noise
+        assert drawn[:, number].std() == pytest.approx(np.sqrt(spread[number, number]), rel=0.35)
+
+
+def test_one_more_record_is_within_the_ends_in_95_of_100():
+    rng = np.random.default_rng(2)
+    within = []
+    for _ in range(2_000):
+        *seen, further = rng.lognormal(size=80)
+        _, low, high = _further(np.array(seen))
+        within.append(low <= further <= high)
+
+    assert np.mean(within) == pytest.approx(0.95, abs=0.015)
+
+
+def test_the_drift_of_a_model_is_the_slower_process_also_where_the_fit_has_changed_their_places():
+    data = make_data(series(clean(3, 500)))
+    one = np.array([np.log(0.5), 0.7, np.log(60.0), -1.6, -0.7, 0.0])
+    other = one[[2, 3, 0, 1, 4, 5]]
+    base = Base(one, shocks=False, box=base_box(data))
+
+    (made, _), (turned, _) = (to_model(residuals([base], theta, data), 0.02) for theta in (one, other))
+
+    assert turned == made
+    assert [term.role for term in made.terms[1:3]] == ["signal", "internal"]
+    assert made.terms[1].tau_s < made.terms[2].tau_s
