@@ -79,11 +79,16 @@ def write_html(diagnosis: Diagnosis, path: Path) -> None:
     text = format_diagnosis(diagnosis)
     parts = [_section("Readings, spectrum and Allan deviation", "", _overview(series, bands))]
     left: LeftOver | None = None
+    shown = 0
     for number, finding in enumerate(diagnosis.findings, start=1):
         title = f"{number}. {finding.cause.replace('_', ' ')}"
         if finding.cause == "unexplained":
             left = left or _left_over(diagnosis, series)
-        if finding.cause == "unexplained" and left is not None:
+        if finding.cause == "unexplained" and shown:
+            text_of = f"{format_finding(finding)}\nWhat the residuals show is with finding {shown}."
+            parts.append(_section(title, text_of, None))
+        elif finding.cause == "unexplained" and left is not None:
+            shown = number
             text_of = f"{left.sentence}\n{format_finding(finding)}"
             parts.append(_section(title, text_of, _residuals(left), key=False))
         else:
@@ -169,16 +174,17 @@ def _residuals(left: LeftOver) -> Figure:
     return figure
 
 
-def _section(title: str, text: str, figure: Figure, *, key: bool = True) -> str:
+def _section(title: str, text: str, figure: Figure | None, *, key: bool = True) -> str:
+    lines = f"<h2>{escape(title)}</h2>{''.join(f'<p>{escape(line)}</p>' for line in text.splitlines())}"
+    if figure is None:
+        return lines
     stream = BytesIO()
     figure.savefig(stream, format="svg", bbox_inches="tight")
     picture = b64encode(stream.getvalue()).decode()
     shown = _KEY if key else _KEY_OF_RESIDUALS
     spans = "".join(f'<span style="border-color: {_COLOURS[name]}">{what}</span>' for name, what in shown.items())
-    return (
-        f"<h2>{escape(title)}</h2>{''.join(f'<p>{escape(line)}</p>' for line in text.splitlines())}"
-        f'<img alt="{escape(title)}" src="data:image/svg+xml;base64,{picture}"><p class="key">{spans}</p>'
-    )
+    image = f'<img alt="{escape(title)}" src="data:image/svg+xml;base64,{picture}">'
+    return f'{lines}{image}<p class="key">{spans}</p>'
 
 
 def _overview(series: Series, bands: dict[str, Floats]) -> Figure:

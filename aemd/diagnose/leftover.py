@@ -7,6 +7,7 @@ counts how many were looked at.
 """
 
 from dataclasses import dataclass
+from math import floor, log10
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,7 +121,7 @@ def _say(times: Cells, frequencies: Cells, sizes: Cells, energy: Floats, p_value
         patch = patches == patches[np.unravel_index(np.argmin(p_value), p_value.shape)]
         rows, columns = np.flatnonzero(patch.any(axis=1)), np.flatnonzero(patch.any(axis=0))
         where = (
-            f"Between {times.edges[columns[0]]:.0f} s and {times.edges[columns[-1] + 1]:.0f} s, at "
+            f"Between {_instant(times, columns[0])} s and {_instant(times, columns[-1] + 1)} s, at "
             f"{band_edges_hz[rows[0]]:.3g} to {band_edges_hz[rows[-1] + 1]:.3g} Hz,"
         )
         return (
@@ -149,6 +150,12 @@ def _say(times: Cells, frequencies: Cells, sizes: Cells, energy: Floats, p_value
             "what was found is narrower than these cells."
         )
     return f"{text}{_by(4 * chance)}."
+
+
+def _instant(times: Cells, edge: int) -> str:
+    """Return when a cell begins, s, as finely as the cells are long."""
+    length_s = float(times.edges[1] - times.edges[0])
+    return f"{times.edges[edge]:.{0 if length_s >= 1 else 1 - floor(log10(length_s))}f}"
 
 
 def _by(chance: float) -> str:

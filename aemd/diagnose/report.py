@@ -14,6 +14,9 @@ _VISIBLE = 0.005
 """Relative change of a figure of three digits that shows."""
 _TIMES_A_FREQUENCY = 1e-3
 """Of a harmonic's number, off a whole one: what is no further off was not folded."""
+_HARMONIC = r"amplitude_(\d+)_V$"
+_HARMONICS = 3
+"""That are told."""
 _PREFIXES = {0: "", -3: "m", -6: "µ", -9: "n", -12: "p", 3: "k", 6: "M"}
 
 
@@ -99,7 +102,7 @@ def _count(some: int, of: int) -> str:
 
 
 def _finding(finding: Finding) -> tuple[str, str]:
-    sizes = ", ".join(f"{_plain(name)} {_say(value)}" for name, value in finding.parameters.items())
+    sizes = _sizes(finding)
     then = finding.experiment
     if finding.cause == "unexplained":
         what = finding.remark or "Unexplained"
@@ -117,12 +120,25 @@ def _finding(finding: Finding) -> tuple[str, str]:
     )
     worth = ""
     if finding.gain.nats_total:
-        worth = (
-            f"; {_worth(finding.gain)}, "
-            f"prediction error {_engineer(finding.rms_before, 'V')} -> {_engineer(finding.rms_after, 'V')} rms"
-        )
+        worth = f"; {_worth(finding.gain)}"
+        if finding.rms_after < finding.rms_before:  # what is worth more where predictions are sure may not lower it
+            before, after = (_engineer(rms_V, "V") for rms_V in (finding.rms_before, finding.rms_after))
+            worth += f", prediction error {before} -> {after} rms"
     mark = ";" if ":" in what or (finding.remark and finding.cause != "unexplained") else ":"
     return f"{what}{mark} {sizes + '; ' if sizes else ''}{evidence}{worth}.", f"  Next: {then}."
+
+
+def _sizes(finding: Finding) -> str:
+    """Return the parameters in words; of many harmonics the strongest; the JSON has all."""
+    harmonics = [name for name in finding.parameters if re.match(_HARMONIC, name)]
+    strongest = sorted(harmonics, key=lambda name: -finding.parameters[name].value)[:_HARMONICS]
+    told = [
+        f"{_plain(name)} {_say(value)}"
+        for name, value in finding.parameters.items()
+        if name not in harmonics or name in strongest
+    ]
+    weaker = len(harmonics) - len(strongest)
+    return ", ".join(told) + (f" and {weaker} weaker {'one' if weaker == 1 else 'ones'}" if weaker else "")
 
 
 def _worth(gain: Gain) -> str:
@@ -153,11 +169,23 @@ def _plain(name: str) -> str:
     """Return a parameter's or mechanism's name in words, without its unit.
 
     >>> _plain("coefficient_V_per_C"), _plain("chirp_hz_per_s"), _plain("mains_alias"), _plain("amplitude_2_V")
-    ('coefficient', 'chirp', 'mains alias', 'amplitude of harmonic 2')
+    ('coefficient', 'chirp', 'mains alias', '2nd harmonic')
     """
+    harmonic = re.match(_HARMONIC, name)
+    if harmonic:
+        return f"{_ordinal(int(harmonic[1]))} harmonic"
     words = re.sub(_UNIT, "", name).replace("_", " ")
-    words = "seen at" if words == "alias" else words
-    return re.sub(r"^amplitude (\d+)$", r"amplitude of harmonic \1", words)
+    return "seen at" if words == "alias" else words
+
+
+def _ordinal(number: int) -> str:
+    """Return a number as an ordinal.
+
+    >>> [_ordinal(number) for number in (1, 2, 3, 4, 11, 22)]
+    ['1st', '2nd', '3rd', '4th', '11th', '22nd']
+    """
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th") if number // 10 % 10 != 1 else "th"
+    return f"{number}{ending}"
 
 
 def _say(value: Value) -> str:

@@ -73,6 +73,16 @@ def test_what_has_no_name_is_shown_where_its_residuals_are_off(diagnosis, tmp_pa
     assert "residuals of the model with all that has a name" in page
 
 
+def test_residuals_of_two_that_have_no_name_are_shown_once(diagnosis, tmp_path):
+    (line,) = diagnosis.findings
+    nameless = replace(line, cause="unexplained", names=("unexplained",), parameters={})
+    write_html(replace(diagnosis, findings=(nameless, nameless)), tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+
+    assert page.count("<img") == 2
+    assert "What the residuals show is with finding 1." in page
+
+
 def test_a_page_that_cannot_be_written_is_one_line(diagnosis, tmp_path):
     with pytest.raises(RecordingError, match="cannot be written"):
         write_html(diagnosis, tmp_path / "nowhere" / "page.html")

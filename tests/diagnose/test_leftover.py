@@ -39,6 +39,15 @@ def test_a_burst_is_told_with_its_time_its_frequency_and_its_energy():
     assert ratio == pytest.approx(1 + 16 / 2, rel=0.35)  # less where a stretch has only a part of the burst
 
 
+def test_a_burst_of_a_tenth_of_a_second_has_an_end_after_its_beginning():
+    fast_s = 1e-3
+    there = (T_S >= 300) & (T_S < 400)
+    left = left_over(normal(1) + there * np.sin(2 * np.pi * 2.03 * T_S), SLOT, EVERY, fast_s)
+
+    begin, end = map(float, re.findall(r"[0-9.]+", left.sentence)[:2])
+    assert (begin, end) == pytest.approx((3.0, 4.0), abs=N * fast_s / 48)
+
+
 @pytest.mark.parametrize(
     ("z", "words"),
     [

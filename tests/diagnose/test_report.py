@@ -34,6 +34,21 @@ def test_a_line_of_the_mains_is_an_alias_only_where_it_was_folded(shown_hz, word
     assert format_finding(finding("mains_alias", value)).startswith(f"Consistent with {words}")
 
 
+def test_of_many_harmonics_the_strongest_are_told_and_the_others_are_counted():
+    sizes = {1: 3e-3, 2: 1e-3, 3: 5e-3, 4: 2e-3, 7: 4e-3}
+    values = {f"amplitude_{number}_V": Value(size, size, size, "V") for number, size in sizes.items()}
+    text = format_finding(finding("periodic_interference", values))
+
+    assert "1st harmonic 3 mV, 3rd harmonic 5 mV, 7th harmonic 4 mV and 2 weaker ones; " in text
+
+
+def test_a_prediction_error_is_told_where_it_has_become_smaller():
+    worth = replace(finding("periodic_interference", {}), gain=Gain(0.1, 100.0, 80.0, 120.0), rms_before=2e-3)
+
+    assert "prediction error 2 mV -> 1 mV rms" in format_finding(replace(worth, rms_after=1e-3))
+    assert "prediction error" not in format_finding(replace(worth, rms_after=2.1e-3))
+
+
 def test_what_was_not_fitted_is_told_apart_from_what_to_do_next():
     first, then = format_finding(
         finding("unexplained", {}, "strongest band looks most like resonance, which was not fitted; record again")
