@@ -160,14 +160,24 @@ class Climb:
     a step costs one pass of the filter per free number.
     """
 
-    def __init__(self, terms: Sequence[Term], start: Floats, data: Data, cost_nats: float = 0.0) -> None:
-        """Begin at `start`; `cost_nats` counts against this hypothesis in a race."""
-        self.terms, self.cost_nats, self._data = terms, cost_nats, data
+    def __init__(
+        self,
+        terms: Sequence[Term],
+        start: Floats,
+        data: Data,
+        cost_nats: float = 0.0,
+        counted: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Begin at `start`; `cost_nats` counts against this hypothesis in a race.
+
+        Of all densities the sum is climbed, or of those that are `counted`: the filter follows the other readings, too.
+        """
+        self.terms, self.cost_nats, self.data, self._counted = terms, cost_nats, data, counted
         self._low, self._high = (
             np.array([bound for term in terms for bound in term.bounds], np.float64).reshape(-1, 2).T
         )
         self.theta = np.clip(start, self._low, self._high)
-        self._here = densities(terms, self.theta, data)
+        self._here = self._densities(self.theta)
         self.value = float(self._here.sum())
         self.gained = np.inf
         """By the last step, nats."""
@@ -176,6 +186,10 @@ class Climb:
         states = len(assemble(terms, self.theta, data)[1].states)
         self.work = float((self.theta.size + 2) * (states + 2) ** 2)
         """Of a step, for each reading."""
+
+    def _densities(self, theta: Floats) -> Floats:
+        each = densities(self.terms, theta, self.data)
+        return each if self._counted is None else np.where(self._counted, each, 0.0)
 
     @property
     def readings(self) -> int:
@@ -204,14 +218,14 @@ class Climb:
 
     def over_blocks(self) -> "Climb":
         """Return the same start over some blocks of the record."""
-        return Climb(self.terms, self.theta, self._data.sampled(_BLOCKS, _BLOCK), self.cost_nats)
+        return Climb(self.terms, self.theta, self.data.sampled(_BLOCKS, _BLOCK), self.cost_nats)
 
     def led_by(self, begun: "Climb") -> "Climb":
         """Return a climb that begins where one over some blocks of the record ended, if that is higher; else this one.
 
         An effect that none of the blocks holds leaves its numbers where they were.
         """
-        ahead = Climb(self.terms, begun.theta, self._data, self.cost_nats)
+        ahead = Climb(self.terms, begun.theta, self.data, self.cost_nats)
         if ahead.value <= self.value:
             return self
         own = self.terms[-1].start.size
@@ -222,8 +236,10 @@ class Climb:
 
     def step(self) -> None:
         """Take one step, or say that there is none worth taking."""
-        enough = max(_CONVERGED, _CONVERGED_PER_READING * self._data.n)
-        scores = readings_scores(self.terms, self.theta, self._data, self._here, self._high)
+        enough = max(_CONVERGED, _CONVERGED_PER_READING * self.data.n)
+        scores = readings_scores(self.terms, self.theta, self.data, self._here, self._high)
+        if self._counted is not None:
+            scores[~self._counted] = 0.0
         # Not by matrix multiplication: so slim a product costs the library's threads more in waiting than in work.
         gradient, curvature = scores.sum(axis=0), np.einsum("nk,nl->kl", scores, scores)
         pinned = ((self.theta <= self._low) & (gradient < 0)) | ((self.theta >= self._high) & (gradient > 0))
@@ -243,7 +259,7 @@ class Climb:
                 cut = step * (_LONGEST_STEP / float(np.abs(step).max()))
             trial = np.clip(self.theta + cut, self._low, self._high)
             promised = float(gradient @ (trial - self.theta))
-            there = densities(self.terms, trial, self._data)
+            there = self._densities(trial)
             self.gained = float(there.sum()) - self.value
             if self.gained > 0:
                 self.theta, self._here, self.value = trial, there, self.value + self.gained
@@ -263,9 +279,16 @@ def climb(terms: Sequence[Term], start: Floats, data: Data, iterations: int = 40
     return alone.theta, alone.value
 
 
-def climb_on(terms: Sequence[Term], start: Floats, data: Data) -> Floats:
-    """Return the free numbers a few steps from `start`, a maximum of all readings, of which these are half."""
-    alone = Climb(terms, start, data)
+def climb_on(terms: Sequence[Term], start: Floats, data: Data, counted: NDArray[np.bool_] | None = None) -> Floats:
+    """Return the free numbers a few steps from `start`, a maximum of all readings, of which these are a part.
+
+    Args:
+        terms: the hypothesis.
+        start: its free numbers to begin with.
+        data: the readings, those that are no part of them not used; or all of them, and
+        counted: whose densities, given all readings before, are summed.
+    """
+    alone = Climb(terms, start, data, counted=counted)
     for _ in range(_FEW if alone.readings <= _LONG else _FEW_LONG):
         if not alone.done:
             alone.step()

@@ -22,6 +22,7 @@ from aemd.diagnose.search import LEAST_NATS, Searched
 from aemd.diagnose.terms.courses import BreathingNoise
 from aemd.diagnose.terms.lines import Sines
 from aemd.diagnose.terms.noise import ChangingNoise, SwellingNoise
+from aemd.diagnose.terms.packets import Packet
 from aemd.diagnose.terms.shapes import Hump
 from aemd.diagnose.terms.stated import OtherFigures
 
@@ -47,6 +48,7 @@ _BROAD = (
 """Mechanisms that many a shape passes for."""
 _OUTSIDE = {
     Hump: ("a hump that comes once", "step"),
+    Packet: ("a wave that comes once", "ring_down"),
     ChangingNoise: ("all that varies is larger or smaller for a while", "changing_noise"),
     SwellingNoise: ("noise that swells or fades once", "changing_noise"),
     BreathingNoise: ("noise that swells and fades evenly", "changing_noise"),
@@ -218,7 +220,7 @@ def _explained(
         less = known or _without(fit, number)
         if less is not before:
             less = restart_base(less)
-        block_s, forward = block_of(fit.data, found.term), found.term.cause in SLOW
+        block_s, forward = block_of(fit.data, [found.term]), found.term.cause in SLOW
         held = HeldOut(fit.data, block_s)
         if (block_s, forward) not in scores:
             scores[block_s, forward] = held.score(fit.terms, fit.theta, forward=forward)
@@ -259,7 +261,7 @@ def _measure_together(base: Fit, fit: Fit, gains: list[Gain]) -> Gain | None:
     if len(gains) == 1:
         return gains[0]
     forward = any(term.cause in SLOW for term in fit.terms)
-    held = HeldOut(fit.data, min(block_of(fit.data, term) for term in fit.terms))
+    held = HeldOut(fit.data, block_of(fit.data, fit.terms))
     before, after = (held.score(of.terms, of.theta, forward=forward) for of in (base, fit))
     return measure_gain(before, after, fit.data.n)
 

@@ -7,8 +7,9 @@ and the logarithm of the number of places it could have been for a location (fre
 prior odds, except where a term states others.
 
 The best of the catalogue may still be the wrong name of what the catalogue does not have. A name is refused where a
-rival from outside explains more, and where a mechanism that acts all the time explains what happened once. What is
-left once every name is given is judged elsewhere (goodness.py).
+rival from outside explains more, and where a mechanism that acts all the time explains what happened once; so what
+rings after shocks, of which one is often most, runs against a wave that comes once, at any time. What is left once
+every name is given is judged elsewhere (goodness.py).
 """
 
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from aemd.diagnose.checks.shapes import check_step
 from aemd.diagnose.climb import Climb, assemble, race
 from aemd.diagnose.evidence import exceedance_of_peaks
 from aemd.diagnose.fit import Fit, begin_with, residuals, steps_for
@@ -48,11 +50,6 @@ _LINKED = ("nonlinearity", "signal_dependent_noise", "smoothing")
 _MOST_IN_ONE = 0.7
 _CROWDED = ("nonlinearity", "signal_dependent_noise", "smoothing", "shock_law")
 _MOST_IN_A_STRETCH = 0.5
-_LEAST_BESIDE = 2.5
-"""Nats that the rings of all shocks must add where the loudest of them is not: its share is that of its square, which
-may be most, and waves laid after shocks that set off none cost what they should have added."""
-_MOST_OF_A_RING = 0.92
-"""Both set on some dozen records with rings, and one with a packet, of our own making."""
 _LEAST_TURNS = 3.0
 """Of what is said to come again, in a record."""
 _LEAST_TO_COLOUR = 20
@@ -107,6 +104,8 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
             for term in {repr(term): term for term in candidates if isinstance(term, Sines)}.values()
         ]
         ended = sorted([*ended, *(race(still, steps_for(fit.data)) if still else [])], key=lambda one: -one.worth)
+    if _jumps_seldom(ended[0]):
+        ended = _race_steps(ended)
     for one in ended:
         one.cost_nats -= _left_out(one.terms, one.theta, fit.data)
     ended = sorted(ended, key=lambda one: -one.worth)
@@ -164,31 +163,46 @@ def _does_not_fit(before: Fit, after: Fit) -> str:
         return "which would act all the time, and this does not"
     if term.cause in _CROWDED and _share_of_the_best_stretch(before, after) > _MOST_IN_A_STRETCH:
         return "which would show wherever the readings move, and this shows in one place"
-    if term.cause == "ring_down" and _rings_once(before, after):
-        return "which would follow every shock, and this shows in one place"
     if isinstance(term, Sines):
         turns = fold(term.harmonics[0] * (term.frequency_hz + theta[0] / span_s), 1 / after.data.interval_s) * span_s
         if turns < _LEAST_TURNS:
             return "which would come again and again, and the record holds less than three turns of it"
     if isinstance(term, Resonance) and _is_some_lines(before, after, term):
         return "which would swing at random, and some lines beside each other explain more"
-    if isinstance(term, Popcorn) and span_s / (exp(theta[1]) + exp(theta[2])) < _LEAST_TURNS:
+    if isinstance(term, Popcorn) and _visits(theta, span_s) < _LEAST_TURNS:
         return "which would jump again and again, and the record holds less than three visits"
     if is_coloured(after, term):
         return NOT_WHITE
     return ""
 
 
+def _visits(theta: Floats, span_s: float) -> float:
+    """Return how often a level that jumps has been at both of its values in a record, on average."""
+    return float(span_s / (exp(theta[1]) + exp(theta[2])))
+
+
+def _jumps_seldom(best: Climb) -> bool:
+    return isinstance(best.terms[-1], Popcorn) and _visits(best.theta[-3:], best.data.span_s) < _LEAST_TURNS
+
+
+def _race_steps(ended: list[Climb]) -> list[Climb]:
+    """Return the same with steps among them, where the best is a level that has hardly jumped twice.
+
+    Shocks may have imitated a step so well that no check asked for one; a level that replaces them shows it. So the
+    steps are looked for beside what is beside that level, and begin from there.
+    """
+    best, rest = ended[0], ended[0].terms[:-1]
+    beside = best.theta[: -best.terms[-1].start.size]
+    steps = check_step(residuals(rest, beside, best.data)).terms
+    starts = [Climb([*rest, step], np.concatenate((beside, step.start)), best.data, step.cost_nats) for step in steps]
+    more = race(starts, steps_for(best.data)) if starts else []
+    return sorted([*ended, *more], key=lambda one: -one.worth)
+
+
 def _share_of_the_best_stretch(before: Fit, after: Fit) -> float:
     """Return the share of a gain that comes from the stretch of a twentieth of the record where it is largest."""
     total, best = _stretches(before, after)
     return best / max(total, 1e-9)
-
-
-def _rings_once(before: Fit, after: Fit) -> bool:
-    """Return whether the rings of all shocks but those of this stretch add nothing to speak of."""
-    total, best = _stretches(before, after)
-    return total - best < _LEAST_BESIDE or best > _MOST_OF_A_RING * total
 
 
 def _stretches(before: Fit, after: Fit) -> tuple[float, float]:

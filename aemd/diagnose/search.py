@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
 
-from aemd.diagnose.checks.local import best_hump
+from aemd.diagnose.checks.local import best_hump, best_packets
 from aemd.diagnose.checks.residuals import check_all
 from aemd.diagnose.evidence import Evidence
 from aemd.diagnose.figures import rival_figures
@@ -89,6 +89,8 @@ def _candidates(fit: Fit, left: list[Evidence]) -> list[Term]:
     candidates = [term for item in left for term in item.terms]
     hump = best_hump(fit) if any(term.cause in _HUMPED for term in candidates) else None
     candidates += [hump] if hump else []
+    if any(term.cause == "ring_down" for term in candidates):  # what rings after one shock is most like a wave alone
+        candidates += best_packets(fit)
     if isinstance(fit.terms[0], Given):
         candidates += rival_figures(fit)
     return candidates

@@ -2,7 +2,9 @@
 
 As the critic's gain is defined: the record is cut into blocks that alternate between two folds; the clean model is
 fitted with the blocks of a fold missing; the score is log p(test | train), which is the log-likelihood of all readings
-less that of the readings without the test blocks. The true model is not fitted but known. Both likelihoods are written
+less that of the readings without the test blocks. Of an event, all of which is told within a few readings, the folds
+are four, of every fourth reading, each fitted to and scored by the density of its readings given all before: a block
+that holds the event has nobody to learn from. The true model is not fitted but known. Both likelihoods are written
 for this purpose alone: a Kalman filter whose states are the plant's two Markov processes and the effect's own.
 
 Readings without shocks only, which a Gaussian likelihood has no place for.
@@ -23,6 +25,8 @@ __all__ = ["oracle_gain"]
 
 BLOCK_S = 60.0
 LEAST_BLOCKS = 20
+EVENTS = ("step", "warmup_drift", "ring_down")
+READINGS = 4
 
 
 def oracle_gain(run: Run, effect: Effect, record: Record) -> float:
@@ -31,7 +35,7 @@ def oracle_gain(run: Run, effect: Effect, record: Record) -> float:
     y = np.full(plant.n, np.nan)
     y[record.index] = record.value_V
     y -= plant.level_V
-    block = (np.arange(plant.n) * plant.interval_s // block_s(plant, effect)).astype(int)
+    block = (np.arange(plant.n) * plant.interval_s // block_s(plant)).astype(int)
     mean, noise = np.zeros(plant.n), np.ones(plant.n)
     if KINDS[effect.cause] == "mean":
         mean = effect.size * unit_template(run, effect)
@@ -44,6 +48,13 @@ def oracle_gain(run: Run, effect: Effect, record: Record) -> float:
     added = plant.white_sd_V**2 * (noise - 1)
     states = with_effect(plant, effect)
     gained = 0.0
+    if effect.cause in EVENTS:
+        for fold in range(READINGS):
+            test = np.cumsum(np.isfinite(y)) % READINGS == fold
+            clean = fitted(plant, y, ~test)
+            gained += filtered(plant, true, y - mean, added, states, test)
+            gained -= filtered(plant, clean[:5], y - clean[5], counted=test)
+        return gained
     for fold in (0, 1):
         train = np.where(block % 2 == fold, np.nan, y)
         clean = fitted(plant, train)
@@ -52,10 +63,9 @@ def oracle_gain(run: Run, effect: Effect, record: Record) -> float:
     return gained
 
 
-def block_s(plant: Plant, effect: Effect) -> float:
-    """Return the length of a block, s: a minute, a twentieth of the record, or what an effect that is local asks."""
-    local_s = {"step": 3.0, "warmup_drift": effect.shape.get("tau_s", inf) / 3}.get(effect.cause, inf)
-    return max(min(BLOCK_S, plant.n * plant.interval_s / LEAST_BLOCKS, local_s), 4 * plant.interval_s)
+def block_s(plant: Plant) -> float:
+    """Return the length of a block, s: a minute, or a twentieth of the record."""
+    return max(min(BLOCK_S, plant.n * plant.interval_s / LEAST_BLOCKS), 4 * plant.interval_s)
 
 
 States = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -75,14 +85,14 @@ def with_effect(plant: Plant, effect: Effect) -> States | None:
     return None
 
 
-def fitted(plant: Plant, y: np.ndarray) -> np.ndarray:
-    """Return the most likely five numbers of a clean plant and its level."""
+def fitted(plant: Plant, y: np.ndarray, counted: np.ndarray | None = None) -> np.ndarray:
+    """Return the most likely five numbers of a clean plant and its level, of the densities that are counted."""
     start = np.append(numbers(plant), np.nanmean(y))
     scale = np.append(np.ones(5), plant.signal_sd_V)
 
     def loss(free: np.ndarray) -> float:
         at = free * scale
-        return -filtered(plant, at[:5], y - at[5])
+        return -filtered(plant, at[:5], y - at[5], counted=counted)
 
     box = [(value - 6, value + 6) for value in start[:5]] + [(-inf, inf)]
     tries = [start / scale, start / scale + np.array([0.3, -0.3, 1.0, -1.0, 0.1, 0.0])]
@@ -91,7 +101,12 @@ def fitted(plant: Plant, y: np.ndarray) -> np.ndarray:
 
 
 def filtered(
-    plant: Plant, theta: np.ndarray, y: np.ndarray, added: np.ndarray | None = None, effect: States | None = None
+    plant: Plant,
+    theta: np.ndarray,
+    y: np.ndarray,
+    added: np.ndarray | None = None,
+    effect: States | None = None,
+    counted: np.ndarray | None = None,
 ) -> float:
     """Return the log-likelihood of readings, NaN where one is missing.
 
@@ -101,18 +116,26 @@ def filtered(
         y: readings less their mean.
         added: variance beyond the white noise's of each, shape (n,).
         effect: states beside the plant's two.
+        counted: whose densities are summed, shape (n,); those of all, where it is not given.
     """
     keeps = [exp(-plant.interval_s / exp(theta[j])) for j in (1, 3)]
     parts = [(np.diag(keeps), np.diag(np.exp(theta[[0, 2]])), np.ones(2)), *([effect] if effect else [])]
     f, rest = (block_diag(*(part[at] for part in parts)) for at in (0, 1))
     shown = np.concatenate([part[2] for part in parts])
     noise = np.full(y.size, exp(theta[4])) if added is None else exp(theta[4]) + added
-    return float(kalman(y, f, rest, rest - f @ rest @ f.T, shown, noise))
+    counted = np.ones(y.size, bool) if counted is None else counted
+    return float(kalman(y, f, rest, rest - f @ rest @ f.T, shown, noise, counted))
 
 
 @njit(cache=True)
 def kalman(
-    y: np.ndarray, f: np.ndarray, rest: np.ndarray, q: np.ndarray, shown: np.ndarray, noise: np.ndarray
+    y: np.ndarray,
+    f: np.ndarray,
+    rest: np.ndarray,
+    q: np.ndarray,
+    shown: np.ndarray,
+    noise: np.ndarray,
+    counted: np.ndarray,
 ) -> float:
     x, p, total = np.zeros(shown.size), rest.copy(), 0.0
     for k in range(y.size):
@@ -120,7 +143,8 @@ def kalman(
             c = p @ shown
             s = shown @ c + noise[k]
             e = y[k] - shown @ x
-            total -= 0.5 * (log(2 * pi * s) + e * e / s)
+            if counted[k]:
+                total -= 0.5 * (log(2 * pi * s) + e * e / s)
             x = x + c * (e / s)
             p = p - np.outer(c, c) / s
         x = f @ x

@@ -13,7 +13,7 @@ from aemd.diagnose.kernels import whiten
 from aemd.diagnose.terms.lines import amplitude_cost
 from aemd.diagnose.terms.shapes import ReadingPattern, Step, WarmUp
 
-__all__ = ["check_pattern", "check_step", "check_warm_up", "settled_response"]
+__all__ = ["check_pattern", "check_step", "check_warm_up", "settled_response", "step_scores"]
 
 Floats = NDArray[np.float64]
 
@@ -32,16 +32,30 @@ def settled_response(fit: Fit, length: int) -> Floats:
     return np.asarray(left / sqrt(float(np.median(fit.variance[half]))))
 
 
+def step_scores(fit: Fit, counted: NDArray[np.bool_] | None = None) -> tuple[Floats, Floats]:
+    """Return the score of a step at each reading, in deviations, and the deviations of one unit of it; shapes (n,).
+
+    Of all residuals, or of those that are `counted`.
+    """
+    n = fit.data.y.size
+    response = settled_response(fit, min(n, _LONGEST_RESPONSE))
+    z = fit.z if counted is None else np.where(counted, fit.z, 0.0)
+    sums = fftconvolve(z, response[::-1])[response.size - 1 :][:n]
+    if counted is None:
+        norms = np.cumsum(response**2)[np.minimum(n - 1 - np.arange(n), response.size - 1)]
+    else:
+        norms = fftconvolve(counted.astype(np.float64), response[::-1] ** 2)[response.size - 1 :][:n]
+    size = np.sqrt(np.maximum(norms, 1e-12))
+    scores = sums / size
+    scores[:2] = scores[n - 2 :] = 0.0  # the first readings have the level to themselves
+    return scores, size
+
+
 def check_step(fit: Fit) -> Evidence:
     """Look for a step at every reading."""
     data = fit.data
     n = data.y.size
-    response = settled_response(fit, min(n, _LONGEST_RESPONSE))
-    sums = fftconvolve(fit.z, response[::-1])[response.size - 1 :][:n]
-    norms = np.cumsum(response**2)
-    size = np.sqrt(norms[np.minimum(n - 1 - np.arange(n), response.size - 1)])
-    scores = sums / size
-    scores[:2] = scores[n - 2 :] = 0.0  # the first readings have the level to themselves
+    scores, size = step_scores(fit)
     at = int(np.argmax(np.abs(scores)))
     score = float(scores[at])
     p_value = bonferroni(two_sided(score), n)

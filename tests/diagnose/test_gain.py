@@ -1,0 +1,48 @@
+"""A single event is worth on held-out readings what it is worth, where one block would have nobody to learn from."""
+
+import numpy as np
+import pytest
+
+from aemd.diagnose.checks.shapes import step_scores
+from aemd.diagnose.fit import fit_base, refit
+from aemd.diagnose.gain import HeldOut, block_of, measure_gain
+from aemd.diagnose.hypothesis import make_data
+from aemd.diagnose.terms.shapes import Step
+from tests.diagnose.plant import clean, series, times
+
+N = 1_500
+
+
+def best_step(seed, step_V):
+    """Return the base's fit, one with the step that its residuals show best, and what that is worth."""
+    less = fit_base(make_data(series(clean(seed, N, white=0.2) + step_V * (times(N) > 50.0))))
+    scores, size = step_scores(less)
+    at = int(np.argmax(np.abs(scores)))
+    step = Step(float(less.data.t_s[at]), scores[at] / size[at], 0.0)
+    more = refit([*less.terms, step], less.data, np.append(less.theta, step.size))
+    held = HeldOut(less.data, block_of(less.data, [step]))
+    before, after = (held.score(of.terms, of.theta, forward=False) for of in (less, more))
+    return less, more, measure_gain(before, after, N)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_step_is_worth_its_log_likelihood_less_what_its_size_costs(seed):
+    """Of a log ratio with mean D the deviation is the root of 2 D; here it is of the same residuals, in other folds."""
+    less, more, gain = best_step(seed, 4e-3)
+    fitted = more.log_likelihood - less.log_likelihood
+
+    assert fitted > 30
+    assert abs(gain.nats_total - fitted) < np.sqrt(2 * fitted)
+    assert 0 < gain.low < gain.nats_total
+    assert gain.high - gain.low == pytest.approx(2 * 1.96 * np.sqrt(2 * gain.nats_total))
+
+
+def test_the_largest_step_of_records_without_one_is_worth_little_on_other_readings():
+    """It fits some nats because it is the largest of all, and among three quarters of them another often is."""
+    found = [best_step(seed, 0.0) for seed in range(11, 17)]
+    fitted = [more.log_likelihood - less.log_likelihood for less, more, _ in found]
+    gained = [gain.nats_total for _, _, gain in found]
+
+    assert np.mean(fitted) > 4
+    assert np.mean(gained) < 0.4 * np.mean(fitted)
+    assert min(gained) < 0
