@@ -104,7 +104,8 @@ def refit(
             return lost(spectrum(numbers, plant) + averaged_out(numbers, plant))
         return lost(spectrum(numbers, plant)) + energy(numbers, plant, mean, beside) / 2
 
-    starts = [theta]
+    slower = theta + np.array([0.0, 0.0, 2.0, 2.0, 0.0])
+    starts = [min((theta, slower), key=loss)]  # what is slow leads a drift that begins as it is into a lesser minimum
     if mean is None:  # of a plant's white noise apertures leave less than there is, or less than none
         real = log(exp(theta[4]) - averaged_out(theta, plant))
         starts = [np.append(theta[:4], white) for white in (real, real - 4)]
