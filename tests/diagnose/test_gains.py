@@ -6,9 +6,10 @@ from scipy.signal import lfilter
 
 from aemd.diagnose.checks.colour import gain_of_smoothing
 from aemd.diagnose.checks.gains import tail_of_one
-from aemd.diagnose.checks.moments import gain_of_bend
+from aemd.diagnose.checks.moments import gain_of_bend, gain_of_growth
 from aemd.diagnose.fit import fit_base
 from aemd.diagnose.hypothesis import make_data
+from aemd.diagnose.terms.noise import SignalDependentNoise
 from aemd.diagnose.terms.shapes import Nonlinearity
 from tests.diagnose.plant import clean, series
 
@@ -45,9 +46,18 @@ def test_shocks_too_few_for_a_sum_show_a_bend():
     assert tail_of_one(gain_of_bend(fit, NOTHING)) < 1e-6
 
 
+@pytest.mark.parametrize("loud", [0.15, 3.0])
+def test_a_gain_that_flickers_is_climbed_to_from_too_loud_a_start_too(loud):
+    y = 1e3 * (clean(9) - 1.0) + 4.0
+    fit = fit_base(make_data(series(1e-3 * y * (1 + 0.15 * np.random.default_rng(9).standard_normal(y.size)))))
+
+    assert tail_of_one(gain_of_growth(fit, SignalDependentNoise(loud, 0.0))) < 1e-4
+
+
 @pytest.mark.parametrize(("seed", "shocks_per_s"), [(21, 0.0), (23, 0.05)])
 def test_a_record_without_them_gains_little(seed, shocks_per_s):
     fit = fit_base(make_data(series(clean(seed, shocks_per_s=shocks_per_s))))
 
     assert tail_of_one(gain_of_smoothing(fit)) > 0.01
     assert tail_of_one(gain_of_bend(fit, NOTHING)) > 0.01
+    assert tail_of_one(gain_of_growth(fit, SignalDependentNoise(1e-3, 0.0))) > 0.01
