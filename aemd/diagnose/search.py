@@ -6,15 +6,18 @@ Holm's procedure over the checks of a round, 0.3 % in the first and half as much
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
+from math import exp
 
 from aemd.diagnose.checks.local import best_hump, best_packets
-from aemd.diagnose.checks.residuals import check_all
+from aemd.diagnose.checks.residuals import check_each
 from aemd.diagnose.evidence import Evidence
 from aemd.diagnose.figures import rival_figures
 from aemd.diagnose.fit import Fit, restart_base
 from aemd.diagnose.given import Given
-from aemd.diagnose.hypothesis import Term
+from aemd.diagnose.hypothesis import Base, Term
 from aemd.diagnose.naming import Named, name
+from aemd.diagnose.rebased import rebased
+from aemd.diagnose.redrawn import Redrawn
 
 __all__ = ["LEAST_NATS", "Searched", "search"]
 
@@ -22,6 +25,11 @@ Progress = Callable[[str], None]
 
 _LEVEL = 0.003
 """Family-wise probability of any finding on a clean record, first round."""
+_OVERWHELMING = 1e-9
+"""p of evidence that no law, however roughly it holds, is doubted for; and beside shocks, at each of which the filter
+merges what it should keep apart, so many nats less a shock, far more than is lost."""
+_LOST_A_SHOCK = 0.1
+_MOST_LOST = 600.0
 _MOST_FINDINGS = 6
 """After so many terms the search stops and says so; on a record that has more, the first are worth the most by far."""
 _HEAVIEST = 8.0
@@ -69,8 +77,8 @@ def search(base: Fit, line_frequency_hz: float | None, tell: Progress) -> Search
     stopped, evidence = "", list[Evidence]()
     for number in count():
         tell(f"checking the residuals, round {number + 1}")
-        evidence = check_all(fit, line_frequency_hz)
-        left = _significant(evidence, _LEVEL / 2**number)
+        fit, evidence, left = _judge(fit, line_frequency_hz, _LEVEL / 2**number, tell)
+        base = base if number else fit
         seen = seen or left
         stopped = _stop(fit, base, number) if left else ""
         if not left or stopped:
@@ -82,6 +90,45 @@ def search(base: Fit, line_frequency_hz: float | None, tell: Progress) -> Search
         named.append((_nominating(left, found), found))
         before, fit = fit, restart_base(found.fit)
     return Searched(base, fit, named, before, seen, left, evidence, stopped)
+
+
+def _judge(
+    fit: Fit, line_frequency_hz: float | None, level: float, tell: Progress
+) -> tuple[Fit, list[Evidence], list[Evidence]]:
+    """Return the fit, the evidence of every check, and what of it is left once it was doubted, unless overwhelming.
+
+    First by other bases that the readings like as well, one of which may have nothing left: then that is the fit. Then
+    by what the same checks say of records drawn from the fit.
+    """
+    checked = check_each(fit, line_frequency_hz)
+    evidence = [item for item, _ in checked]
+    left = _significant(evidence, level)
+    if not left or left[0].p_value < _overwhelming(fit):
+        return fit, evidence, left
+    tell(f"doubting: {left[0].check}")
+    for other in rebased(fit, tails=any(term.cause == "heavy_tails" for item in left for term in item.terms)):
+        again = check_each(other, line_frequency_hz)
+        still = _significant([item for item, _ in again], level)
+        if not still or other.log_likelihood > fit.log_likelihood:
+            fit, checked, evidence, left = other, again, [item for item, _ in again], still
+        if not left:
+            return fit, evidence, left
+    redrawn, doubted, check_of = Redrawn(fit), set[str](), {item.check: check for item, check in checked}
+    while left and left[0].check not in doubted and left[0].p_value > _overwhelming(fit):
+        most = left[0]
+        doubted.add(most.check)
+        corrected = redrawn.corrected(most, check_of[most.check])
+        evidence = [corrected if item is most else item for item in evidence]
+        left = _significant(evidence, level)
+    return fit, evidence, left
+
+
+def _overwhelming(fit: Fit) -> float:
+    """Return the p-value below which nothing is doubted."""
+    base = fit.terms[0]
+    if not isinstance(base, Base) or not base.shocks:
+        return _OVERWHELMING
+    return _OVERWHELMING * exp(-min(_LOST_A_SHOCK * exp(fit.theta[6]) * fit.data.span_s, _MOST_LOST))
 
 
 def _candidates(fit: Fit, left: list[Evidence]) -> list[Term]:
