@@ -81,7 +81,7 @@ def criticise(
     searched = search(base, line_frequency_hz, tell)
     tell("measuring gains on held-out blocks")
     judged = judge_all(searched, [defect for defect in defects if defect.cause not in expected])
-    fit, spread = judged.fit, judged.spread
+    base, fit, spread = searched.base, judged.fit, judged.spread
     return Diagnosis(
         verdict=_verdict(judged.findings),
         n=int(np.count_nonzero(series.used)),

@@ -10,6 +10,7 @@ from math import exp
 
 from aemd.diagnose.checks.local import best_hump, best_packets
 from aemd.diagnose.checks.residuals import check_each
+from aemd.diagnose.checks.witnessed import gains_like_noise
 from aemd.diagnose.evidence import Evidence
 from aemd.diagnose.figures import rival_figures
 from aemd.diagnose.fit import Fit, restart_base
@@ -18,6 +19,8 @@ from aemd.diagnose.hypothesis import Base, Term
 from aemd.diagnose.naming import Named, name
 from aemd.diagnose.rebased import rebased
 from aemd.diagnose.redrawn import Redrawn
+from aemd.diagnose.terms.courses import BreathingNoise
+from aemd.diagnose.terms.noise import SwellingNoise
 
 __all__ = ["LEAST_NATS", "Searched", "search"]
 
@@ -78,7 +81,8 @@ def search(base: Fit, line_frequency_hz: float | None, tell: Progress) -> Search
     for number in count():
         tell(f"checking the residuals, round {number + 1}")
         fit, evidence, left = _judge(fit, line_frequency_hz, _LEVEL / 2**number, tell)
-        base = base if number else fit
+        if not number:
+            base = before = fit
         seen = seen or left
         stopped = _stop(fit, base, number) if left else ""
         if not left or stopped:
@@ -138,6 +142,8 @@ def _candidates(fit: Fit, left: list[Evidence]) -> list[Term]:
     candidates += [hump] if hump else []
     if any(term.cause == "ring_down" for term in candidates):  # what rings after one shock is most like a wave alone
         candidates += best_packets(fit)
+    if any(isinstance(term, BreathingNoise | SwellingNoise) for term in candidates):
+        candidates += gains_like_noise(fit)
     if isinstance(fit.terms[0], Given):
         candidates += rival_figures(fit)
     return candidates
