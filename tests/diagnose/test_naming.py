@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from aemd.diagnose.checks.witnessed import gains_like_noise
+from aemd.diagnose.fit import fit_base
 from aemd.diagnose.hypothesis import Base, base_box, make_data
 from aemd.diagnose.naming import _left_out
 from aemd.diagnose.terms.noise import SignalDependentNoise
 from aemd.diagnose.terms.shapes import Nonlinearity
-from tests.diagnose.plant import INTERVAL_S, N, series
+from tests.diagnose.plant import INTERVAL_S, N, clean, series
 
 GAIN, NEWS_V = 0.1, 0.1
 
@@ -50,3 +52,12 @@ def test_of_other_names_nothing_is_left_out():
     term = Nonlinearity(0.01, 0.0)
 
     assert _left_out([base, term], np.concatenate((base.start, term.start)), data) == 0.0
+
+
+def test_of_readings_about_nothing_the_noise_tells_how_a_gain_follows_the_supply():
+    n = 1_500
+    supply = np.sin(np.arange(n) / 40.0)
+    fit = fit_base(make_data(series((clean(5, n) - 1.0) * (1 + 0.4 * supply), witnesses={"supply": supply})))
+    (gain,) = gains_like_noise(fit)
+
+    assert gain.coefficient == pytest.approx(0.4, abs=0.12)

@@ -16,7 +16,7 @@ from aemd.diagnose.hypothesis import Base, Data
 from aemd.diagnose.terms.lines import amplitude_cost
 from aemd.diagnose.terms.witnessed import Latency, SupplyCoupling, ThermalDrift, lagged, odds_against
 
-__all__ = ["check_witness"]
+__all__ = ["check_witness", "gains_like_noise"]
 
 Floats = NDArray[np.float64]
 
@@ -89,6 +89,22 @@ def check_witness(fit: Fit, name: str) -> list[Evidence]:
             terms=(*coupled, *(() if known else terms)) if p_value < 0.05 else (),
         )
     )
+    return found
+
+
+def gains_like_noise(fit: Fit) -> list[SupplyCoupling]:
+    """Return the gains by which all that varies would swell with each witness as the residuals' squares do.
+
+    Of readings about 0 V a gain leaves hardly more than that: rivals of a noise that swells, and no check.
+    """
+    data, squares = fit.data, np.where(fit.data.used, fit.z**2 - 1, 0.0)
+    found = []
+    for name, values in data.witnesses.items():
+        witness = values - float(np.mean(values))
+        strength = 2 * float(witness @ witness)
+        if strength > 0 and not _has(fit, name):
+            cost = amplitude_cost(1, data.n) + odds_against("supply_coupling", name)
+            found.append(SupplyCoupling(name, float(squares @ witness) / strength, cost))
     return found
 
 
