@@ -70,9 +70,14 @@ def estimator_for(
     parts = _Parts()
     for part in (*made.terms, *made.effects):
         _gather(part, parts, span_s=span_s, interval_s=interval_s, aperture_s=aperture_s, level_V=level_V)
+    shocks = [term for term in made.terms if isinstance(term, model.Shocks)]
+    if shocks and parts.outliers is not None:  # the one abrupt disturbance that it follows is the shocks'
+        share, sd = parts.outliers
+        parts.noise += share * sd**2
+        parts.outliers = None
+        parts.approximated.append("heavy_tails")
     noise_V = max(sqrt(parts.noise), _LEAST_V)
     slow_V, slow_tau_s = _join(parts.slow, span_s)
-    shocks = [term for term in made.terms if isinstance(term, model.Shocks)]
     disturbed_V, quiet_s, disturbed_s = _abrupt(shocks, parts, signal, noise_V, interval_s, span_s)
     options = ImmOptions(
         signal_V=(
@@ -225,8 +230,6 @@ def _abrupt(
         lasts_s = max(decay_s * max(log(size / sqrt(change)), 1.0), interval_s)
         left = exp(-2 * lasts_s / decay_s) if decay_s > 0 else 0.0
         mean_square = size**2 * min(decay_s / (2 * lasts_s) * (1 - left) if decay_s > 0 else 1.0, 1.0)
-        if parts.outliers is not None:
-            parts.left_out.append("heavy_tails, beside shocks")
         return sqrt(mean_square + change), 1 / rate, lasts_s
     if parts.outliers is not None:
         share, sd = parts.outliers

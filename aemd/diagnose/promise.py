@@ -93,7 +93,7 @@ def _try(base: Fit, extended: Fit, spread: Floats, aperture_s: float) -> Promise
     if ratio[2] > _OPEN * ratio[1]:
         return None
     # An estimator that knows only half of what was found may do worse than one that knows nothing of it.
-    better = bool(ratio[0] < _NO_BETTER or gain[0] > 0)
+    better = bool(ratio[0] < _NO_BETTER or (ratio[0] <= 1 and gain[0] > 0))
     before_V, after_V = (float(value) for value in np.sqrt(np.mean(errors_V**2, axis=0)))
     if not better:
         after_V, ratio, gain = before_V, np.ones(3), np.zeros(3)

@@ -174,3 +174,12 @@ def test_a_model_without_an_input_has_no_estimator():
 
     assert choice is None
     assert "no input to estimate" in notes[0]
+
+
+def test_heavy_tails_beside_shocks_are_noise_of_their_variance():
+    """One mode is disturbed, and that is the shocks'."""
+    tails = model.HeavyTails(sd_V=4e-4, dof=6.0)
+    shocks = model.Shocks(rate_per_s=0.1, sd_V=0.1, decay_s=0.5)
+
+    assert options_of(SIGNAL, NOISE, shocks, effects=(tails,)).noise_V == pytest.approx(5e-4)
+    assert options_of(SIGNAL, NOISE, effects=(tails,)).noise_V == pytest.approx(3e-4)
