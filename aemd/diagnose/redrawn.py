@@ -94,8 +94,8 @@ def judged_by(drawn: Floats, observed: float) -> float:
     Their mean being unknown but for them, the ratio of one more to the sum of n has P(> r) = (1 + r)^-n: a few draws
     can reject no more than a few draws may.
 
-    >>> round(judged_by(np.ones(1000), 5.0) / np.exp(-5.0), 1)
-    1.0
+    >>> round(1 / judged_by(np.ones(8), 8.0), 6)
+    256.0
     """
     total = float(drawn.sum())
     return exp(-drawn.size * log1p(observed / total)) if total > 0 else 0.0
