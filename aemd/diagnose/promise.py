@@ -155,7 +155,8 @@ def _weighed(fit: Fit, spread: Floats, low: Floats, high: Floats, rng: np.random
     off[:, slow] = _WIDER * off[:, slow] + _FARTHER * sd
     drawn = centre + off
     # The level is known as well as the drift's mean is over the span T: to rate tau / sqrt(T + 2 tau).
-    tau_s, rate = np.exp(drawn[:, slow]), np.exp(drawn[:, slow + 1])
+    # What is not possible is left out below, and may be beyond all numbers.
+    tau_s, rate = (np.exp(np.clip(drawn[:, at], low[at], high[at])) for at in (slow, slow + 1))
     known = sqrt(max(float(spread[_LEVEL, _LEVEL]), 0.0))
     stretch = np.clip(rate * tau_s / np.sqrt(span_s + 2 * tau_s) / known, 0.3, 20.0) if known > 0 else np.ones(_TRIED)
     drawn[:, _LEVEL] = centre[_LEVEL] + off[:, _LEVEL] * stretch
