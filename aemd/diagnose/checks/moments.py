@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import log, sqrt
+from math import exp, log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from aemd.diagnose.checks.tails import gain_of_tails, tail_of_gain
 from aemd.diagnose.climb import assemble
 from aemd.diagnose.evidence import Evidence, bonferroni, two_sided, weighted_chi2_tail
 from aemd.diagnose.fit import Fit
-from aemd.diagnose.hypothesis import Term
+from aemd.diagnose.hypothesis import Base, Term
 from aemd.diagnose.terms.lines import amplitude_cost
 from aemd.diagnose.terms.noise import ChangingNoise, HeavyTails, SignalDependentNoise, SwellingNoise
 from aemd.diagnose.terms.shapes import Nonlinearity
@@ -26,6 +26,8 @@ Outcome = tuple[Evidence, Callable[[], list[Term]]]
 """Evidence, and what makes the terms that could explain it."""
 
 _LEVERAGE = 20.0
+_LEAST_LEFT = 0.05
+"""Of the base's white noise, beside a noise that grows with the reading."""
 _HIGH, _HIGH_ONE_SIDED = 1.92, 1.35
 """Nats that one number too many gains in one record of twenty, where it may be of either sign and where not."""
 _WORTH_A_FIT = 0.01
@@ -167,12 +169,20 @@ def _signal_dependent_noise(fit: Fit) -> Outcome:
 def gain_of_growth(fit: Fit, begun: SignalDependentNoise) -> float | None:
     """Return the log-likelihood that a noise adds which grows with the reading; None where it is not sought.
 
-    The score's size is by leverages that had to be limited, so it may begin far too loud beside shocks.
+    The base has taken it for white noise, of which a climb begins with as much less. The score's size is by leverages
+    that had to be limited, so it may begin far too loud beside shocks.
     """
     if fit.data.n > LONG or assemble(fit.terms, fit.theta, fit.data)[1].extras[0] > 0:
         return None
-    quieter = replace(begun, fraction=begun.fraction / 3)
-    return gain_of(fit, [(term, np.append(fit.theta, term.start)) for term in (begun, quieter)])[0]
+    used = fit.data.used
+    power = float(np.mean((fit.predicted[used] + fit.data.origin_V / fit.data.unit_V) ** 2))
+    starts = []
+    for term in (begun, replace(begun, fraction=begun.fraction / 3)):
+        theta = np.append(fit.theta, term.start)
+        if isinstance(fit.terms[0], Base):
+            theta[4] += 0.5 * log(max(1 - term.fraction**2 * power / exp(2 * theta[4]), _LEAST_LEFT))
+        starts.append((term, theta))
+    return gain_of(fit, starts)[0]
 
 
 def gain_of_bend(fit: Fit, begun: Nonlinearity) -> float | None:
