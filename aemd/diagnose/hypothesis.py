@@ -165,6 +165,8 @@ class Parameter:
     """What is possible at all: where an interval ends that is open on a side."""
     ends: tuple[float, float] | None = None
     """Its 95 % interval, where a term knows it by another way than the likelihood's."""
+    drawn: bool = False
+    """Whether it is no smooth function of its numbers, so that its interval is made of draws of these."""
 
 
 class Term(Protocol):

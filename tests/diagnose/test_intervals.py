@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from scipy.stats import norm
 
-from aemd.diagnose.fit import refit
-from aemd.diagnose.hypothesis import Base, base_box, make_data
+from aemd.diagnose.fit import refit, residuals
+from aemd.diagnose.hypothesis import Base, Parameter, base_box, make_data
 from aemd.diagnose.intervals import covariance, describe
-from aemd.diagnose.terms.shapes import WarmUp
+from aemd.diagnose.terms.ranges import RangeOffset
+from aemd.diagnose.terms.shapes import ReadingPattern, WarmUp
+from aemd.diagnose.weighed import Weighed
 from tests.diagnose.plant import INTERVAL_S, series, times
 
 
@@ -45,3 +48,64 @@ def test_the_interval_of_a_short_time_constant_has_the_ends_of_its_profile():
     low, high = profile_ends(y, t_s, 1.5)
     assert told.low == pytest.approx(low, rel=0.15)
     assert told.high == pytest.approx(high, rel=0.15)
+
+
+def test_the_ends_of_a_mixture_leave_their_share_of_both_laws():
+    mixed = Weighed(np.array([0.7, 0.3]), np.array([[0.0], [5.0]]), np.array([[[1.0]], [[4.0]]]))
+    low, high = mixed.ends(Parameter("level_V", "V", lambda v: float(v[0]), positive=False), 0.025)
+
+    for end, share in ((low, 0.025), (high, 0.975)):
+        assert 0.7 * norm.cdf(end) + 0.3 * norm.cdf((end - 5) / 2) == pytest.approx(share, abs=1e-9)
+
+
+def still_base(y: np.ndarray) -> tuple[Base, np.ndarray]:
+    """White noise of a known deviation and nothing else: all of the base is held but its level."""
+    data = make_data(series(1e-3 * y))
+    theta = np.array([np.log(INTERVAL_S), -12.0, np.log(5 * INTERVAL_S), -12.0, np.log(1e-3 / data.unit_V), 0.0])
+    box = tuple(
+        (value, value) if at < 5 else bound for at, (value, bound) in enumerate(zip(theta, base_box(data), strict=True))
+    )
+    return Base(theta, shocks=False, box=box), theta
+
+
+def test_the_interval_of_the_largest_difference_reaches_farther_down():
+    """Of three offsets the lower two are equal, and differ by a deviation of 0.2 2^0.5.
+
+    So the lower of them is too low on average by 0.2 pi^-0.5, and half of that is what the interval's middle lies below
+    the estimate.
+    """
+    rng, n = np.random.default_rng(5), 300
+    base, theta = still_base(rng.standard_normal(n))
+    data = make_data(series(1e-3 * rng.standard_normal(n)))
+    spread = np.zeros((8, 8))
+    spread[6:, 6:] = 0.04 * (np.eye(2) - 1 / 3)  # of means of as many readings each, balanced
+    fit = residuals([base, ReadingPattern(3, (1.0, -0.5), 0.0)], np.append(theta, [1.0, -0.5]), data)
+
+    told = describe(fit, 1, spread)["amplitude_V"]
+
+    assert told.value == pytest.approx(0.75 * data.unit_V)
+    assert told.value - (told.low + told.high) / 2 == pytest.approx(0.1 / np.sqrt(np.pi) * data.unit_V, rel=0.3)
+
+
+def test_an_offset_leaves_its_hole_room_for_the_threshold():
+    """The offset is the hole less two spacings of readings; so the law of what it lacks is a gamma law of two."""
+    rng, n = np.random.default_rng(6), 2_000
+    x = np.cumsum(rng.standard_normal(n)) * 0.05 + rng.standard_normal(n)
+    y = x + 2.0 * (x >= 0.5)
+    data = make_data(series(1e-3 * y))
+    hole = np.sort(data.y)
+    at = int(np.argmax(np.diff(hole)))
+    term = RangeOffset(float(hole[at]), float(hole[at + 1]), True, 0.0)
+    base, theta = still_base(x)
+    start = np.append(theta, 1.0)
+    start[4] = np.log(1.5e-3 / data.unit_V)
+    fit = residuals([base, term], start, data)
+    told = describe(fit, 1, covariance(fit))["offset_V"]
+
+    def lost(part: float) -> float:
+        return fit.log_likelihood - residuals([base, term], np.append(start[:-1], part), data).log_likelihood
+
+    width_V, slope = (term.high - term.low) * data.unit_V, lost(0.999) / 0.001
+
+    assert told.high == pytest.approx(width_V * (1 - 0.2422 / slope), rel=1e-3)
+    assert told.low == pytest.approx(width_V * (1 - 5.572 / slope), rel=1e-2)

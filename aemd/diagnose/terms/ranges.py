@@ -112,8 +112,16 @@ class RangeOffset:
         width_V = (self.high - self.low) * data.unit_V
         return [
             Parameter("level_V", "V", lambda _: level_V),
-            Parameter("offset_V", "V", lambda v: sign * v[0] * width_V, positive=False),
+            Parameter("offset_V", "V", lambda v: sign * v[0] * width_V, positive=False, limits=(-width_V, width_V)),
         ]
+
+    def room(self, part: Floats) -> Floats:
+        """Return how far the threshold may lie, in holes: as far as the offset leaves of it.
+
+        The threshold is anywhere between the last reading of the lower range and the first of the upper one, less the
+        offset. An offset as wide as the hole would leave it no place at all.
+        """
+        return 1.0 - part
 
 
 @dataclass(frozen=True, slots=True)

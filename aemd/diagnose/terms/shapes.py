@@ -151,7 +151,7 @@ class ReadingPattern:
         unit = data.unit_V
         return [
             Parameter("period_readings", "", lambda _: float(self.period)),
-            Parameter("amplitude_V", "V", lambda v: float(np.ptp(np.append(v, -np.sum(v)))) / 2 * unit),
+            Parameter("amplitude_V", "V", lambda v: float(np.ptp(np.append(v, -np.sum(v)))) / 2 * unit, drawn=True),
         ]
 
 
