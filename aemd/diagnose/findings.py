@@ -221,7 +221,7 @@ def _explained(
         if less is not before:
             less = restart_base(less)
         block_s, forward = block_of(fit.data, [found.term]), found.term.cause in SLOW
-        held = HeldOut(fit.data, block_s)
+        held = HeldOut(fit.data, block_s, fit.each)
         if (block_s, forward) not in scores:
             scores[block_s, forward] = held.score(fit.terms, fit.theta, forward=forward)
         findings.append(
@@ -261,7 +261,7 @@ def _measure_together(base: Fit, fit: Fit, gains: list[Gain]) -> Gain | None:
     if len(gains) == 1:
         return gains[0]
     forward = any(term.cause in SLOW for term in fit.terms)
-    held = HeldOut(fit.data, block_of(fit.data, fit.terms))
+    held = HeldOut(fit.data, block_of(fit.data, fit.terms), fit.each)
     before, after = (held.score(of.terms, of.theta, forward=forward) for of in (base, fit))
     return measure_gain(before, after, fit.data.n)
 

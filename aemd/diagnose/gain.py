@@ -1,6 +1,6 @@
 """What a term is worth: the log probability it adds on blocks that its fit never saw.
 
-Blocks of a minute, or of less where an effect is local, alternate between two folds. For each fold the parameters are
+Blocks of a minute alternate between two folds. For each fold the parameters are
 fitted with its blocks missing, and the score is
 
     log p(test | train) = log-likelihood(all) - log-likelihood(test missing)
@@ -13,10 +13,11 @@ score is therefore that of a user who does not know the future: the log density 
 all before it, at the same parameters.
 
 Of an event all is told within a few readings: a block that holds it has nobody to learn from, and half of a handful of
-shocks are too few to fit their law. There every fourth reading is held out, in four folds. The filter follows all
-readings, but the numbers are fitted to the densities, each given all before, of the other three quarters, and scored by
-the density of the fourth. At the true numbers the residuals are independent, so what is fitted to some of them knows
-nothing of the others, and of an effect in the mean each fold tells its own part. Where a step is, each fold finds anew.
+shocks are too few to fit their law. There single readings are held out, in four folds, to which they are dealt by the
+rank of their density, so that each has its share of the shocks. The filter follows all readings, but the numbers are
+fitted to the densities, each given all before, of the other three folds, and scored by those of the fourth. At the true
+numbers the residuals are independent, so what is fitted to some of them knows nothing of the others, and of an effect
+in the mean each fold tells its own part. Where a step is, each fold finds anew.
 """
 
 from collections.abc import Sequence
@@ -55,11 +56,14 @@ _LEAST_BLOCKS = 20
 class HeldOut:
     """Scores hypotheses on held-out blocks, or on held-out readings."""
 
-    def __init__(self, data: Data, block_s: float) -> None:
-        """Take the data and the length of a block; see `block_of`."""
+    def __init__(self, data: Data, block_s: float, each: Floats) -> None:
+        """Take the data, the length of a block, see `block_of`, and the log density of each reading, shape (n,)."""
         self._data = data
         self._single = block_s == _READINGS
-        self._block = np.cumsum(data.used) % _FOLDS if self._single else (data.t_s // block_s).astype(np.int64)
+        if self._single:
+            self._block = np.argsort(np.argsort(np.where(data.used, each, np.inf), kind="stable")) % _FOLDS
+        else:
+            self._block = (data.t_s // block_s).astype(np.int64)
 
     def score(self, terms: tuple[Term, ...], theta: Floats, *, forward: bool) -> Floats:
         """Return the score of each block, shape (blocks,), or of each fold of single readings, shape (folds,).

@@ -3,9 +3,10 @@
 As the critic's gain is defined: the record is cut into blocks that alternate between two folds; the clean model is
 fitted with the blocks of a fold missing; the score is log p(test | train), which is the log-likelihood of all readings
 less that of the readings without the test blocks. Of an event, all of which is told within a few readings, the folds
-are four, of every fourth reading, each fitted to and scored by the density of its readings given all before: a block
-that holds the event has nobody to learn from. The true model is not fitted but known. Both likelihoods are written
-for this purpose alone: a Kalman filter whose states are the plant's two Markov processes and the effect's own.
+are four, of every fourth reading; there are no shocks here to be dealt. Each is fitted to, and scored by, the densities
+of its readings given all before: a block that holds the event has nobody to learn from. The true model is not fitted
+but known. Both likelihoods are written for this purpose alone: a Kalman filter whose states are the plant's two Markov
+processes and the effect's own.
 
 Readings without shocks only, which a Gaussian likelihood has no place for.
 """

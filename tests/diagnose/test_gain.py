@@ -20,7 +20,7 @@ def best_step(seed, step_V):
     at = int(np.argmax(np.abs(scores)))
     step = Step(float(less.data.t_s[at]), scores[at] / size[at], 0.0)
     more = refit([*less.terms, step], less.data, np.append(less.theta, step.size))
-    held = HeldOut(less.data, block_of(less.data, [step]))
+    held = HeldOut(less.data, block_of(less.data, [step]), more.each)
     before, after = (held.score(of.terms, of.theta, forward=False) for of in (less, more))
     return less, more, measure_gain(before, after, N)
 
