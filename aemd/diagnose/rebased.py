@@ -28,6 +28,8 @@ _SHOCK_GAIN = 6.0
 """Nats that shocks must bring, three numbers more."""
 _FAINT = ((0.003, 4.0), (0.01, 2.0), (0.03, 1.5))
 """Shocks a reading, and their deviation in those of the innovation."""
+_LONG = 200_000
+"""Readings beyond which a climb from so far off would take minutes; of so many, faint shocks are not missed."""
 _STEPS = 40
 """From such a start, which is far off, and more than a race on a long record gives."""
 _DECAYS = (0.5, 1.0, 3.0, 10.0)
@@ -47,7 +49,7 @@ def rebased(fit: Fit, *, tails: bool) -> list[Fit]:
     steps = steps_for(fit.data)
     (drifting,) = race([Climb(fit.terms, _with_drift(fit), fit.data)], steps)
     found = [drifting] if drifting.value > fit.log_likelihood - _AS_GOOD else []
-    if tails and len(fit.terms) == 1 and not fit.terms[0].shocks:
+    if tails and len(fit.terms) == 1 and not fit.terms[0].shocks and fit.data.n <= _LONG:
         struck = _best_struck(fit)
         for _ in range(_STEPS):
             if not struck.done:

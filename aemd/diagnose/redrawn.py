@@ -38,6 +38,8 @@ _LEAVE = (0.5, 0.25, 0.1, 0.05)
 is corrected in 2 % of the cases, after 17 draws on average, and is not where -ln p is twice too large in 6 %."""
 _LONG, _FEWER = 20_000, 32
 """Readings of a record beyond which so many are the most."""
+_MOST = 100_000
+"""Readings of a record that is drawn; of a longer one the beginning is."""
 _WRONG, _NOTHING = 1e-4, 0.01
 """The same probability at which a law is surely wrong; and p, then, of what is nothing without drawing more."""
 _BY_READINGS = (RangeOffset, RangeSwitching, RingDown)
@@ -51,7 +53,10 @@ class Redrawn:
 
     def __init__(self, fit: Fit) -> None:
         """Draw nothing yet."""
-        self._fit, self._fits = fit, list[Fit]()
+        self._fits = list[Fit]()
+        self._times = max(fit.data.y.size / _MOST, 1.0)
+        """The readings over those drawn; so many times as far is a law off, as it is off a little at each shock."""
+        self._fit = fit if self._times == 1 else replace(fit, data=fit.data.first(_MOST))
 
     def corrected(self, evidence: Evidence, check: Check) -> Evidence:
         """Return the evidence, with the p-value that records drawn from the fit give it where its law is wrong there.
@@ -60,6 +65,8 @@ class Redrawn:
             evidence: what was found.
             check: what found it.
         """
+        if self._times > 1 and len(self._fit.terms) > 1:  # which know the length of the record
+            return evidence
         nominal, p_value = list[float](), evidence.p_value
         for count, leave in zip(_STAGES, _LEAVE, strict=True):
             if count > _FEWER and self._fit.data.n > _LONG:
@@ -72,7 +79,8 @@ class Redrawn:
                 nominal.append(-log(max(next(same, 1.0), 1e-300)))
             if sum(nominal) < gamma.isf(leave, count):
                 return evidence
-            p_value = judged_by(np.array(nominal), -log(max(evidence.p_value, 1e-300)))
+            as_long = np.maximum(1 + self._times * (np.array(nominal) - 1), 0.0)
+            p_value = judged_by(as_long, -log(max(evidence.p_value, 1e-300)))
             if p_value > _NOTHING and sum(nominal) > gamma.isf(_WRONG, count):
                 break
         return replace(evidence, p_value=max(p_value, evidence.p_value))
