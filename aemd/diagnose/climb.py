@@ -92,7 +92,9 @@ def sharpened(data: Data, kept: float) -> Seen:
         return np.asarray((values - share * data.y[last]) / (1 - share))
 
     low, high = (None if values is None else sharp(values) for values in (data.low, data.high))
-    return Seen(sharp(data.y), low, high, np.where(data.used, -np.log1p(-share), 0.0))
+    # An interval has a probability, which no slope changes.
+    dense = data.used if low is None or high is None else data.used & ~(high > low)
+    return Seen(sharp(data.y), low, high, np.where(dense, -np.log1p(-share), 0.0))
 
 
 def _shares(data: Data, kept: float) -> tuple[Floats, NDArray[np.int64]]:

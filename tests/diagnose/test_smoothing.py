@@ -35,3 +35,13 @@ def test_the_likelihood_across_gaps_is_that_of_the_dense_covariance_within_a_ten
 
     assert each[~used].tolist() == [0.0] * len(lost)
     assert each.sum() == pytest.approx(expected, abs=0.4)
+
+
+def test_a_reading_of_which_an_interval_is_known_is_never_more_than_certain():
+    values = np.random.default_rng(9).standard_normal(200)
+    data = make_data(series(1e-3 * values))
+    data = replace(data, low=data.y - 50.0, high=data.y + 50.0)
+    theta = np.array([np.log(INTERVAL_S), -30.0, 0.0, -30.0, 0.0, 0.0, np.log(KEPT / (1 - KEPT))])
+    each = densities([Base(theta[:6], shocks=False, box=base_box(data)), Smoothing(KEPT, 0.0)], theta, data)
+
+    assert each == pytest.approx(0.0, abs=1e-3)
