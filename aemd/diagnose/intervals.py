@@ -49,7 +49,9 @@ def covariance(fit: Fit) -> Floats:
     """Return the covariance of the free numbers about their most likely values, shape (k, k)."""
     if not any(is_slow(fit, number) for number in range(1, len(fit.terms))):
         return information_at(fit.terms, fit.theta, fit.data)[1]
-    tries = drifts(fit)
+    tries = [one for one in drifts(fit) if np.isfinite(one.log_weight) and np.isfinite(one.within).all()]
+    if not tries:
+        return information_at(fit.terms, fit.theta, fit.data)[1]
     highest = max(one.log_weight for one in tries)
     weights = np.array([exp(one.log_weight - highest) for one in tries])
     weights /= weights.sum()

@@ -142,6 +142,9 @@ def beside(fit: Fit, number: int) -> Weighed | None:
         tries = _along(fit, number, begin)
     else:
         return None
+    tries = [one for one in tries if np.isfinite(one.log_weight) and np.isfinite(one.within).all()]
+    if not tries:
+        return None
     weights = np.exp(np.array([one.log_weight for one in tries]) - max(one.log_weight for one in tries))
     mixed = Weighed(
         weights / weights.sum(),
