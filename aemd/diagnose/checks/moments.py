@@ -18,6 +18,7 @@ from aemd.diagnose.terms.lines import amplitude_cost
 from aemd.diagnose.terms.noise import ChangingNoise, HeavyTails, SignalDependentNoise, SwellingNoise
 from aemd.diagnose.terms.shapes import Nonlinearity
 from aemd.diagnose.terms.witnessed import SupplyCoupling, odds_against
+from aemd.model import RangeSwitching
 
 __all__ = ["check_moments"]
 
@@ -189,8 +190,14 @@ def gain_of_bend(fit: Fit, begun: Nonlinearity) -> float | None:
     """Return the log-likelihood that a bent scale adds to a fit, all else fitted again; None where it is not sought.
 
     Not beside a noise that grows with the reading, nor a bend that is stated and met by its slope: they are skew, of
-    which the filter knows nothing, and a bend is the next best thing.
+    which the filter knows nothing, and a bend is the next best thing. Nor where ranges switch: a bend that moves
+    readings across the switch gains by each, and no normal law says how much.
     """
+    stated = getattr(fit.terms[0], "stated", None)
+    if stated is not None and any(isinstance(effect, RangeSwitching) for effect in stated.effects):
+        return None
+    if any(term.cause == "range_switching" for term in fit.terms):
+        return None
     skew = assemble(fit.terms, fit.theta, fit.data)[1].extras[:2].any()
     if skew or fit.data.n > LONG or any(isinstance(term, Nonlinearity) for term in fit.terms):
         return None
