@@ -137,6 +137,8 @@ class Parts:
     mean: Floats
     noise_var: Floats
     scale: Floats
+    averaged: float = 0.0
+    """Of the noise's variance what apertures take off, which is no white noise: it stays where that changes."""
     states: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
     shocks: Floats = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
     extras: Floats = field(default_factory=lambda: np.zeros(6))
@@ -218,8 +220,8 @@ class Base:
         """Put signal, drift, noise, level and shocks into the parts."""
         for tau, rate in ((exp(theta[0]), exp(theta[1])), (exp(theta[2]), exp(theta[3]))):
             parts.states.append((MARKOV, tau, 0.0, rate, rate * sqrt(tau / 2), 1.0))
-            parts.noise_var += averaged_out(tau, rate, data.aperture_s)
-        parts.noise_var += exp(2 * theta[4])
+            parts.averaged += averaged_out(tau, rate, data.aperture_s)
+        parts.noise_var += parts.averaged + exp(2 * theta[4])
         parts.mean += theta[5]
         if self.shocks:
             parts.shocks = np.array([exp(theta[6]), exp(2 * theta[7]), float(len(parts.states))])

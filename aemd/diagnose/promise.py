@@ -153,7 +153,7 @@ def _weighed(fit: Fit, spread: Floats, low: Floats, high: Floats, rng: np.random
     student = rng.standard_normal((_TRIED, free)) * np.sqrt(_DOF / rng.chisquare(_DOF, (_TRIED, 1)))
     off = student @ root.T
     off[:, slow] = _WIDER * off[:, slow] + _FARTHER * sd
-    drawn = centre + off
+    drawn = centre + off * (high > low)  # rounding may have moved what is held
     # The level is known as well as the drift's mean is over the span T: to rate tau / sqrt(T + 2 tau).
     # What is not possible is left out below, and may be beyond all numbers.
     tau_s, rate = (np.exp(np.clip(drawn[:, at], low[at], high[at])) for at in (slow, slow + 1))

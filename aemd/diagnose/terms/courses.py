@@ -41,7 +41,8 @@ class BreathingNoise:
     def add(self, theta: Floats, data: Data, parts: Parts) -> None:
         """Scale the white noise along the wave."""
         angle = 2 * pi * self.turns * data.t_s / data.span_s
-        parts.noise_var = parts.noise_var * np.exp(theta[0] * np.cos(angle) + theta[1] * np.sin(angle))
+        louder = np.exp(theta[0] * np.cos(angle) + theta[1] * np.sin(angle))
+        parts.noise_var = parts.averaged + (parts.noise_var - parts.averaged) * louder
 
     def parameters(self, data: Data) -> Sequence[Parameter]:
         """Return the time from swell to swell, and the ratio of deviations from the loudest to the mean."""

@@ -273,7 +273,8 @@ class ChangingNoise:
         inside = (data.t_s >= self.begin_s) & (data.t_s < self.end_s)
         if self.everything:
             parts.scale = np.where(inside, parts.scale * exp(theta[0]), parts.scale)
-        parts.noise_var = np.where(inside, parts.noise_var * exp(2 * theta[0]), parts.noise_var)
+        stays = 0.0 if self.everything else parts.averaged
+        parts.noise_var = np.where(inside, stays + (parts.noise_var - stays) * exp(2 * theta[0]), parts.noise_var)
 
     def parameters(self, data: Data) -> Sequence[Parameter]:  # noqa: ARG002 - a Term's
         """Return when, how long, and the ratio of standard deviations."""
@@ -312,7 +313,7 @@ class SwellingNoise:
         """Scale the white noise along the bell."""
         apart = (data.t_s - self.centre_s) / self.width_s - theta[1]
         bell = np.exp(-0.5 * (apart / exp(theta[2])) ** 2)
-        parts.noise_var = parts.noise_var * np.exp(2 * theta[0] * bell)
+        parts.noise_var = parts.averaged + (parts.noise_var - parts.averaged) * np.exp(2 * theta[0] * bell)
 
     def parameters(self, data: Data) -> Sequence[Parameter]:  # noqa: ARG002 - a Term's
         """Return when it is at its top, how wide it is, and the ratio of deviations there."""

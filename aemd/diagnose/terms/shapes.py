@@ -206,11 +206,13 @@ def straight(y: Floats, bend: float) -> tuple[Floats, Floats]:
 
     >>> [round(float(values[0]), 3) for values in straight(np.array([0.24]), 1.0)]
     [0.2, 0.714]
+    >>> straight(np.array([-np.inf, np.inf]), 1.0)[0]
+    array([-inf,  inf])
     """
+    if bend == 0.0:
+        return y, np.ones_like(y)
     under = 1 + 4 * bend * y
     root = np.sqrt(np.maximum(under, _LEAST_SLOPE**2))
-    x = 2 * np.where(under > _LEAST_SLOPE**2, y, 0.0) / (1 + root)
-    if bend != 0.0:
-        edge = ((_LEAST_SLOPE - 1) / (2 * bend), (_LEAST_SLOPE**2 - 1) / (4 * bend))
-        x = np.where(under > _LEAST_SLOPE**2, x, edge[0] + (y - edge[1]) / _LEAST_SLOPE)
-    return x, 1 / root
+    x = 2 * np.where(under > _LEAST_SLOPE**2, y, 0.0) / (1 + np.where(np.isinf(root), 1.0, root))  # an end may be open
+    edge = ((_LEAST_SLOPE - 1) / (2 * bend), (_LEAST_SLOPE**2 - 1) / (4 * bend))
+    return np.where(under > _LEAST_SLOPE**2, x, edge[0] + (y - edge[1]) / _LEAST_SLOPE), 1 / root
