@@ -11,10 +11,13 @@ from math import exp, inf, log, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from aemd.diagnose.drifts import drifts, is_slow
 from aemd.diagnose.fit import Fit, climb
 from aemd.diagnose.hypothesis import Parameter
+from aemd.diagnose.mixture import Weighed, slopes_of
 from aemd.diagnose.result import Value
-from aemd.diagnose.weighed import Held, Weighed, beside, drifts, information_at, is_slow, likelihood_at, slopes_of
+from aemd.diagnose.settled import Held, information_at, likelihood_at
+from aemd.diagnose.weighed import beside
 
 __all__ = ["covariance", "describe"]
 

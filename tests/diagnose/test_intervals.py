@@ -8,9 +8,9 @@ from scipy.stats import norm
 from aemd.diagnose.fit import refit, residuals
 from aemd.diagnose.hypothesis import Base, Parameter, base_box, make_data
 from aemd.diagnose.intervals import covariance, describe
+from aemd.diagnose.mixture import Weighed
 from aemd.diagnose.terms.ranges import RangeOffset
 from aemd.diagnose.terms.shapes import ReadingPattern, WarmUp
-from aemd.diagnose.weighed import Weighed
 from tests.diagnose.plant import INTERVAL_S, series, times
 
 

@@ -1,0 +1,143 @@
+"""One fit near another: with some of its numbers held, and how well the others are known there."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aemd.diagnose.climb import densities, readings_scores
+from aemd.diagnose.fit import Fit
+from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts, Term
+
+__all__ = ["UNLIKELY", "Held", "Tried", "information_at", "likelihood_at", "log_volume", "settled"]
+
+Floats = NDArray[np.float64]
+
+UNLIKELY = 4.0
+"""Nats below the best from which nothing more is tried."""
+_STEPS = 2
+"""Of Newton from one fit to its neighbour."""
+_DAMPINGS = (0.01, 0.3)
+"""Of such a step, and of a second try at it: two processes that share the signal can change places at no cost."""
+_ENOUGH = 0.02
+"""Nats that are not worth another one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """A fit with some numbers held: its weight, all its free numbers, and their covariance."""
+
+    log_weight: float
+    theta: Floats
+    within: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """A term one of whose free numbers is held where it is."""
+
+    term: Term
+    at: int
+    value: float
+
+    @property
+    def cause(self) -> str:
+        """Id of what it stands for."""
+        return self.term.cause
+
+    @property
+    def cost_nats(self) -> float:
+        """The term's."""
+        return self.term.cost_nats
+
+    @property
+    def start(self) -> Floats:
+        """The term's."""
+        return self.term.start
+
+    @property
+    def bounds(self) -> Sequence[Bounds]:
+        """The term's, but for what is held."""
+        return [(self.value, self.value) if at == self.at else bound for at, bound in enumerate(self.term.bounds)]
+
+    def add(self, theta: Floats, data: Data, parts: Parts) -> None:
+        """Add the term."""
+        self.term.add(theta, data, parts)
+
+    def parameters(self, data: Data) -> Sequence[Parameter]:
+        """Return the term's."""
+        return self.term.parameters(data)
+
+
+def information_at(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[Floats, Floats]:
+    """Return the gradient and the covariance at some free numbers: the inverse of the outer product of scores."""
+    low, high = _box(terms)
+    scores = readings_scores(terms, theta, data, densities(terms, theta, data), high)
+    return scores.sum(axis=0), _inverse(scores, (theta > low) & (theta < high))
+
+
+def likelihood_at(fit: Fit, index: int, value: float) -> float:
+    """Return the likelihood with a free number of some term held elsewhere, near the top."""
+    begins = np.cumsum([0, *(term.start.size for term in fit.terms)])
+    number = int(np.searchsorted(begins, index, side="right")) - 1
+    terms, near = [*fit.terms], fit.theta.copy()
+    terms[number] = Held(fit.terms[number], index - int(begins[number]), value)
+    near[index] = value
+    return settled(terms, near, fit.data)[0]
+
+
+def log_volume(within: Floats, at: Sequence[int]) -> float:
+    """Return the logarithm of the volume of some of the free numbers, the root of their covariance's determinant."""
+    own = within[np.ix_(at, at)]
+    certain = np.diag(own) <= 0  # on a bound
+    return 0.5 * float(np.linalg.slogdet(own + np.diag(np.where(certain, 1.0, 1e-9 * np.diag(own))))[1])
+
+
+def settled(terms: Sequence[Term], near: Floats, data: Data) -> tuple[float, Floats, Floats]:
+    """Return likelihood, free numbers and covariance a step or two of Newton from a neighbour."""
+    low, high = _box(terms)
+    theta = np.clip(near, low, high)
+    here = densities(terms, theta, data)
+    value, within = float(here.sum()), np.zeros((theta.size, theta.size))
+    for _ in range(_STEPS):
+        scores = readings_scores(terms, theta, data, here, high)
+        gradient = scores.sum(axis=0)
+        inside = (theta > low) & (theta < high)
+        within = _inverse(scores, inside)
+        free = inside | ((low < high) & _inwards(theta, low, high, gradient))
+        gained = 0.0
+        for damping in _DAMPINGS:
+            step = _inverse(scores, free, damping) @ gradient
+            if float(gradient @ step) < _ENOUGH:
+                break
+            trial = np.clip(theta + np.clip(step, -1.5, 1.5), low, high)
+            there = densities(terms, trial, data)
+            if float(there.sum()) > value:
+                gained, theta, here, value = float(there.sum()) - value, trial, there, float(there.sum())
+                break
+        if gained < _ENOUGH:
+            break
+    return value, theta, within
+
+
+def _inwards(theta: Floats, low: Floats, high: Floats, gradient: Floats) -> NDArray[np.bool_]:
+    return np.asarray(((theta <= low) & (gradient > 0)) | ((theta >= high) & (gradient < 0)))
+
+
+def _box(terms: Sequence[Term]) -> Floats:
+    return np.array([bound for term in terms for bound in term.bounds], np.float64).reshape(-1, 2).T
+
+
+def _inverse(scores: Floats, free: NDArray[np.bool_], damping: float = 1e-9) -> Floats:
+    """Return the inverse of the outer product of scores among what is free; what is not is not uncertain by it.
+
+    The damping is a part of each number's own information, as Levenberg and Marquardt have it.
+    """
+    information = np.einsum("nk,nl->kl", scores, scores)
+    covered = np.zeros(information.shape)
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
+    kept = np.flatnonzero(free)
+    inner = (information / np.outer(scale, scale))[np.ix_(kept, kept)] + damping * np.eye(kept.size)
+    covered[np.ix_(kept, kept)] = np.linalg.pinv(inner)
+    return np.asarray(covered / np.outer(scale, scale))
