@@ -220,7 +220,7 @@ def test_everything_that_the_critic_looks_for_is_hidden_here():
     assert set(COVERED) - NOT_HERE <= {effect.cause for _, effect in HIDDEN}
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(5))
 def test_on_clean_readings_the_critic_is_silent(seed, tmp_path):
     plant = draw_plant(np.random.default_rng(seed), provocative=seed % 2 == 1)
     plant = replace(plant, n=min(plant.n, 2000), lost_fraction=0.0)
