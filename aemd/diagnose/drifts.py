@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aemd.diagnose.fit import Fit
-from aemd.diagnose.hypothesis import Base, Bounds, Data, Parameter, Parts, Term
+from aemd.diagnose.hypothesis import Base, Bounds, Data, Parameter, Parts, Term, signal_and_drift
 from aemd.diagnose.kernels import MARKOV
 from aemd.diagnose.settled import UNLIKELY, Tried, information_at, log_volume, settled
 
@@ -57,7 +57,7 @@ def drifts(fit: Fit) -> list[Tried]:
     if _last and _last[0][0] is fit:
         return _last[0][1]
     base, span_s = fit.base, fit.data.span_s
-    slow = 2 if fit.theta[2] >= fit.theta[0] else 0
+    slow = signal_and_drift(fit.theta)[1]
     low, high = base.box[slow + 1]
     sd = sqrt(float(np.median(fit.variance[fit.data.used])))
     unseen = max(log(_UNSEEN * sd / sqrt(span_s)), low)

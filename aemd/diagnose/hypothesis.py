@@ -16,7 +16,17 @@ from aemd.diagnose.apertures import averaged_out
 from aemd.diagnose.kernels import MARKOV
 from aemd.diagnose.series import Series
 
-__all__ = ["Base", "Data", "Parameter", "Parts", "Seen", "Term", "base_start_with_shocks", "make_data"]
+__all__ = [
+    "Base",
+    "Data",
+    "Parameter",
+    "Parts",
+    "Seen",
+    "Term",
+    "base_start_with_shocks",
+    "make_data",
+    "signal_and_drift",
+]
 
 Floats = NDArray[np.float64]
 Bounds = tuple[float, float]
@@ -201,8 +211,8 @@ class Term(Protocol):
 class Base:
     """First-order Markov signal and internal drift, white noise, a level, and shocks where there are any.
 
-    Free numbers: log tau_s, log rate_s, log tau_d, log rate_d, log white, level; with shocks: log rate, log sd, log
-    decay. Rates in units per root second.
+    Free numbers: log tau, log rate of one process and of the other, log white, level; with shocks: log rate, log sd,
+    log decay. Rates in units per root second. A fit may leave the drift in either place; see signal_and_drift.
     """
 
     start: Floats
@@ -231,10 +241,10 @@ class Base:
         """Return time constants, deviations, rates and the level in volts."""
         unit = data.unit_V
         found = [
-            Parameter("signal_tau_s", "s", lambda v: exp(v[0])),
-            Parameter("signal_rate_V_per_rt_s", "V/rt s", lambda v: exp(v[1]) * unit),
-            Parameter("drift_tau_s", "s", lambda v: exp(v[2])),
-            Parameter("drift_rate_V_per_rt_s", "V/rt s", lambda v: exp(v[3]) * unit),
+            Parameter("signal_tau_s", "s", lambda v: exp(v[signal_and_drift(v)[0]])),
+            Parameter("signal_rate_V_per_rt_s", "V/rt s", lambda v: exp(v[signal_and_drift(v)[0] + 1]) * unit),
+            Parameter("drift_tau_s", "s", lambda v: exp(v[signal_and_drift(v)[1]])),
+            Parameter("drift_rate_V_per_rt_s", "V/rt s", lambda v: exp(v[signal_and_drift(v)[1] + 1]) * unit),
             Parameter("white_sd_V", "V", lambda v: exp(v[4]) * unit),
             Parameter("level_V", "V", lambda v: v[5] * unit + data.origin_V, positive=False),
         ]
@@ -245,6 +255,15 @@ class Base:
                 Parameter("shock_decay_s", "s", lambda v: exp(v[8])),
             ]
         return found
+
+
+def signal_and_drift(theta: Floats) -> tuple[int, int]:
+    """Return where the signal and the drift begin among the base's free numbers: 0 and 2, or 2 and 0.
+
+    A fit may have the two change places. The drift is what is both slower and moves less from reading to reading; where
+    one process is both slower and moves more, the other is hardly there, and they stay as they began.
+    """
+    return (2, 0) if theta[2] < theta[0] and theta[3] > theta[1] else (0, 2)
 
 
 def base_box(data: Data) -> tuple[Bounds, ...]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from aemd.block import READING
 from aemd.diagnose.estimator import estimator_for
 from aemd.diagnose.fit import Fit, densities
-from aemd.diagnose.hypothesis import Base
+from aemd.diagnose.hypothesis import Base, signal_and_drift
 from aemd.diagnose.result import Likely, Promise
 from aemd.diagnose.translate import to_model
 from aemd.errors import ConfigError
@@ -138,7 +138,7 @@ def _weighed(fit: Fit, spread: Floats, low: Floats, high: Floats, rng: np.random
     far less: no normal law. So draws of a wide one are weighed by their likelihood (importance sampling), under a prior
     that is even in the logarithms of time constants and sizes, but even in the drift's rate, which may be none.
     """
-    slow = 2 if fit.theta[2] >= fit.theta[0] else 0
+    slow = signal_and_drift(fit.theta)[1]
     centre, span_s = fit.theta.copy(), fit.data.span_s
     centre[slow] = min(centre[slow], log(span_s))
     sd = sqrt(max(float(spread[slow, slow]), 0.0))

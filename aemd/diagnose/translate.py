@@ -15,7 +15,7 @@ from aemd import model
 from aemd.diagnose.apertures import averaged_markov, averaged_out, struck_between
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.given import Given
-from aemd.diagnose.hypothesis import Base
+from aemd.diagnose.hypothesis import Base, signal_and_drift
 from aemd.diagnose.terms.events import PeriodicGlitch, Popcorn, RingDown, ShockLaw
 from aemd.diagnose.terms.lines import Sines, WanderingLine
 from aemd.diagnose.terms.noise import (
@@ -112,8 +112,7 @@ def as_tables(made: model.Model) -> Mapping[str, Any]:
 def _base(base: Base, v: Floats, fit: Fit, aperture_s: float) -> list[Any]:
     unit, span = fit.data.unit_V, fit.data.span_s
     # What is fitted is at instants; the model's processes are averaged, which takes from the white noise what is fast.
-    # The fit may have the two change places; the drift is what is both slower and moves less from reading to reading.
-    ways = (2, 0) if v[2] < v[0] and v[3] > v[1] else (0, 2)
+    ways = signal_and_drift(v)
     kept, lost = zip(*(averaged_markov(exp(v[at]), exp(v[at + 1]), aperture_s) for at in ways), strict=True)
     signal_tau_s, drift_tau_s = (exp(v[at]) for at in ways)
     signal, drift = (exp(v[at + 1]) ** 2 / rate for at, rate in zip(ways, kept, strict=True))

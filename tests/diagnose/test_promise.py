@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from aemd.diagnose.fit import refit, residuals
+from aemd.diagnose.fit import refit
 from aemd.diagnose.hypothesis import Base, base_box, make_data
 from aemd.diagnose.intervals import covariance
 from aemd.diagnose.promise import _further, _left_open
-from aemd.diagnose.translate import to_model
 from tests.diagnose.plant import INTERVAL_S, clean, markov, series
 
 N = 250
@@ -75,16 +74,3 @@ def test_one_more_record_is_within_the_ends_in_95_of_100():
         within.append(low <= further <= high)
 
     assert np.mean(within) == pytest.approx(0.95, abs=0.015)
-
-
-def test_the_drift_of_a_model_is_the_slower_process_also_where_the_fit_has_changed_their_places():
-    data = make_data(series(clean(3, 500)))
-    one = np.array([np.log(0.5), 0.7, np.log(60.0), -1.6, -0.7, 0.0])
-    other = one[[2, 3, 0, 1, 4, 5]]
-    base = Base(one, shocks=False, box=base_box(data))
-
-    (made, _), (turned, _) = (to_model(residuals([base], theta, data), 0.02) for theta in (one, other))
-
-    assert turned == made
-    assert [term.role for term in made.terms[1:3]] == ["signal", "internal"]
-    assert made.terms[1].tau_s < made.terms[2].tau_s
