@@ -14,7 +14,7 @@ from aemd.diagnose.checks.shapes import settled_response
 from aemd.diagnose.checks.spectrum import regress
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.terms.lines import amplitude_cost
-from aemd.diagnose.terms.packets import Packet
+from aemd.diagnose.terms.packets import Packet, waves
 from aemd.diagnose.terms.shapes import Hump
 
 __all__ = ["best_hump", "best_packets"]
@@ -107,11 +107,5 @@ def _fading_power(z: NDArray[np.float64], begun: int, decay: float, turns: float
 def _packet(fit: Fit, at: int, hz: float, width_s: float, cost: float, *, begins: bool) -> Packet:
     """Return the wave there, its amplitudes fitted to the residuals."""
     at_s = float(fit.data.t_s[min(at, fit.data.y.size - 1)])
-    since_s = fit.data.t_s - at_s
-    if begins:
-        envelope = np.where(since_s > -1e-9, np.exp(-np.maximum(since_s, 0.0) / width_s), 0.0)
-    else:
-        envelope = np.exp(-0.5 * (since_s / width_s) ** 2)
-    angle = 2 * pi * hz * since_s
-    (a, b), _ = regress(fit, [envelope * np.cos(angle), envelope * np.sin(angle)])
+    (a, b), _ = regress(fit, [*waves(fit.data.t_s - at_s, hz, width_s, begins=begins)])
     return Packet(at_s, width_s, hz, (float(a), float(b)), begins, cost)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts
 
-__all__ = ["Packet"]
+__all__ = ["Packet", "waves"]
 
 Floats = NDArray[np.float64]
 
@@ -47,15 +47,10 @@ class Packet:
 
     def add(self, theta: Floats, data: Data, parts: Parts) -> None:
         """Add the wave to the mean."""
-        since_s = data.t_s - self.at_s
-        if self.begins:
-            envelope = np.where(
-                since_s > -1e-9, np.exp(-np.maximum(since_s, 0.0) / (self.width_s * exp(theta[0]))), 0.0
-            )
-        else:
-            envelope = np.exp(-0.5 * ((since_s / self.width_s - theta[4]) / exp(theta[0])) ** 2)
-        angle = 2 * pi * (self.frequency_hz + theta[1] / self.width_s) * since_s
-        parts.mean += envelope * (theta[2] * np.cos(angle) + theta[3] * np.sin(angle))
+        top_s = 0.0 if self.begins else self.width_s * theta[4]
+        hz, width_s = self.frequency_hz + theta[1] / self.width_s, self.width_s * exp(theta[0])
+        cosine, sine = waves(data.t_s - self.at_s, hz, width_s, begins=self.begins, top_s=top_s)
+        parts.mean += theta[2] * cosine + theta[3] * sine
 
     def parameters(self, data: Data) -> Sequence[Parameter]:
         """Return when it is, how long it lasts, its frequency and its amplitude."""
@@ -67,3 +62,23 @@ class Packet:
             Parameter("frequency_hz", "Hz", lambda v: self.frequency_hz + v[1] / self.width_s),
             Parameter("amplitude_V", "V", lambda v: hypot(v[2], v[3]) * data.unit_V),
         ]
+
+
+def waves(
+    since_s: Floats, frequency_hz: float, width_s: float, *, begins: bool, top_s: float = 0.0
+) -> tuple[Floats, Floats]:
+    """Return cosine and sine that come once, each shape (n,).
+
+    Args:
+        since_s: times, from the instant at which the cosine has its top, shape (n,).
+        frequency_hz: of the wave.
+        width_s: the bell's standard deviation, or the time in which what begins fades by e.
+        begins: whether it begins at 0 and fades, instead of lying under a bell.
+        top_s: when the bell has its top.
+    """
+    if begins:
+        envelope = np.where(since_s > -1e-9, np.exp(-np.maximum(since_s, 0.0) / width_s), 0.0)
+    else:
+        envelope = np.exp(-0.5 * ((since_s - top_s) / width_s) ** 2)
+    angle = 2 * pi * frequency_hz * since_s
+    return envelope * np.cos(angle), envelope * np.sin(angle)
