@@ -201,13 +201,8 @@ def _race_steps(ended: list[Climb]) -> list[Climb]:
 
 def _share_of_the_best_stretch(before: Fit, after: Fit) -> float:
     """Return the share of a gain that comes from the stretch of a twentieth of the record where it is largest."""
-    total, best = _stretches(before, after)
-    return best / max(total, 1e-9)
-
-
-def _stretches(before: Fit, after: Fit) -> tuple[float, float]:
     gained = np.array([part.sum() for part in np.array_split((after.each - before.each)[after.data.used], 40)])
-    return float(gained.sum()), float((gained[1:] + gained[:-1]).max())
+    return float((gained[1:] + gained[:-1]).max()) / max(float(gained.sum()), 1e-9)
 
 
 def _is_some_lines(before: Fit, after: Fit, term: Resonance) -> bool:
