@@ -9,9 +9,9 @@ from math import exp, log, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, gamma, norm
+from scipy.stats import gamma, norm
 
-from aemd.diagnose.checks.gains import LONG, gain_of, tail_of_one
+from aemd.diagnose.checks.gains import LONG, MOST_OF_ONE, gain_of, tail_of_one
 from aemd.diagnose.evidence import Evidence, bonferroni, weighted_chi2_tail
 from aemd.diagnose.fit import Fit, begin_with
 from aemd.diagnose.hypothesis import Base
@@ -173,7 +173,7 @@ def _smoothed(fit: Fit, score: _Score, sine: Floats) -> Evidence:
         p_value=tail_of_one(gain),
         observed=gain,
         low=0.0,
-        high=float(chi2.isf(0.05, 1)) / 2,
+        high=MOST_OF_ONE,
         terms=terms,
     )
 

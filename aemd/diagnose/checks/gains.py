@@ -10,12 +10,15 @@ from aemd.diagnose.climb import Climb
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.hypothesis import Term
 
-__all__ = ["LONG", "gain_of", "tail_of_one"]
+__all__ = ["LONG", "MOST_OF_ONE", "MOST_OF_ONE_SIDED", "gain_of", "tail_of_one"]
 
 Floats = NDArray[np.float64]
 
 LONG = 100_000
 """Readings from which scores do alone: what there is to see is smaller and nearer to its slope, and a climb costs."""
+MOST_OF_ONE, MOST_OF_ONE_SIDED = (float(chi2.isf(share, 1)) / 2 for share in (0.05, 0.10))
+"""Nats, 1.92 and 1.35: of one number too many 19 records of 20 gain no more, where it may be of either sign and where
+it ends at none, which half of the records are at."""
 _FIRST_STEPS, _LAST_STEPS = 2, 10
 _PROMISING = 6.0
 """Nats that a climb must have hope of after its first steps."""

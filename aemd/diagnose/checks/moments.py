@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import kurtosistest, norm
 
-from aemd.diagnose.checks.gains import LONG, gain_of, tail_of_one
+from aemd.diagnose.checks.gains import LONG, MOST_OF_ONE, MOST_OF_ONE_SIDED, gain_of, tail_of_one
 from aemd.diagnose.checks.tails import gain_of_tails, tail_of_gain
 from aemd.diagnose.climb import assemble
 from aemd.diagnose.evidence import Evidence, bonferroni, two_sided, weighted_chi2_tail
@@ -29,8 +29,6 @@ Outcome = tuple[Evidence, Callable[[], list[Term]]]
 _LEVERAGE = 20.0
 _LEAST_LEFT = 0.05
 """Of the base's white noise, beside a noise that grows with the reading."""
-_HIGH, _HIGH_ONE_SIDED = 1.92, 1.35
-"""Nats that one number too many gains in one record of twenty, where it may be of either sign and where not."""
 _WORTH_A_FIT = 0.01
 """p from which the look-alikes are prepared; far above the level of any finding."""
 
@@ -162,7 +160,7 @@ def _signal_dependent_noise(fit: Fit) -> Outcome:
     check = "noise that grows with the reading"
     if gain is not None:  # a variance ends at none, so in half of the cases there is nothing to gain
         p_value = 0.5 * tail_of_one(gain) if gain > 0 else 1.0
-        return Evidence(f"{check}: nats gained", p_value, gain, 0.0, _HIGH_ONE_SIDED), terms
+        return Evidence(f"{check}: nats gained", p_value, gain, 0.0, MOST_OF_ONE_SIDED), terms
     p_value = max(weighted_chi2_tail(shape / size, raw), float(norm.sf(score)))
     return Evidence(f"{check}: score in deviations", p_value, score, -1.96, 1.96), terms
 
@@ -228,7 +226,7 @@ def _nonlinearity(fit: Fit) -> Outcome:
         return [bent]
 
     if gain is not None:
-        check, p_value, observed, low, high = "nats gained by the bend", tail_of_one(gain), gain, 0.0, _HIGH
+        check, p_value, observed, low, high = "nats gained by the bend", tail_of_one(gain), gain, 0.0, MOST_OF_ONE
     else:
         check, p_value, observed, low, high = "score in deviations", two_sided(score), score, -1.96, 1.96
     return Evidence(f"residuals against a bent scale: {check}", p_value, observed, low, high), terms
