@@ -228,7 +228,7 @@ class Given:
         match effect:
             case model.DifferenceNoise(sd_V=sd):
                 parts.states.append((WHITE, 1.0, 0.0, sd / unit, sd / unit, 1.0))
-                parts.states.append((PREVIOUS, 1.0, 0.0, 0.0, sd / unit, -1.0))
+                parts.states.append((PREVIOUS, 1.5 * data.interval_s, 0.0, sd / unit, sd / unit, -1.0))
             case model.HeavyTails(sd_V=sd, dof=dof):
                 shares, variances = student((sd / unit) ** 2, dof)
                 parts.noise_var += variances[0]

@@ -56,7 +56,8 @@ PAIR_SECOND = 2
 WHITE = 3
 """Drawn anew at each reading."""
 PREVIOUS = 4
-"""What the state before it in the table was at the reading before."""
+"""What the state before it in the table was at the reading before, an interval ago; where a reading was lost between,
+that was another. Its tau_s is the longest step that is one, its rate the deviation of what it is then."""
 
 _MOST = 40  # states; the size of the work space
 _STEEP = 500.0  # logarithm of odds from which they are taken relative to the likeliest, lest they overflow
@@ -86,9 +87,10 @@ def transition(step_s: float, states: Floats, keep: Floats, turn: Floats, noise:
             keep[i] = 0.0
             noise[i] = rate * rate
         else:
+            next_to = step_s < tau
             keep[i] = 0.0
-            turn[i] = 1.0
-            noise[i] = 0.0
+            turn[i] = 1.0 if next_to else 0.0
+            noise[i] = 0.0 if next_to else rate * rate
 
 
 @njit(cache=True)
@@ -103,7 +105,7 @@ def advance_vector(states: Floats, keep: Floats, turn: Floats, x: Floats) -> Non
             x[i] = keep[i] * second - turn[i] * first
             i -= 2
         elif kind == PREVIOUS:
-            x[i] = x[i - 1]
+            x[i] = turn[i] * x[i - 1]
             i -= 1
         else:
             x[i] *= keep[i]

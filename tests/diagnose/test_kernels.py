@@ -49,13 +49,32 @@ def test_the_likelihood_is_the_multivariate_normal_density_also_with_gaps_and_un
 def test_differenced_noise_has_the_covariance_of_a_difference():
     n, sd = 40, 0.8
     y = np.random.default_rng(2).standard_normal(n)
-    states = np.array([[WHITE, 1, 0, sd, sd, 1], [PREVIOUS, 1, 0, 0, sd, -1]])
+    states = np.array([[WHITE, 1, 0, sd, sd, 1], [PREVIOUS, 1.5, 0, sd, sd, -1]])
     ours = log_densities(
         y, np.ones(n, bool), np.ones(n), np.zeros(n), np.full(n, 0.1), np.ones(n), states, NO_SHOCKS, NO_EXTRAS
     ).sum()
     cov = (0.1 + 2 * sd**2) * np.eye(n) - sd**2 * (np.eye(n, k=1) + np.eye(n, k=-1))
 
     assert ours == pytest.approx(multivariate_normal(np.zeros(n), cov).logpdf(y), rel=1e-10)
+
+
+def test_readings_with_a_lost_one_between_share_no_differenced_noise():
+    n, sd = 60, 0.8
+    rng = np.random.default_rng(3)
+    there = rng.random(n) < 0.8
+    steps = np.diff(np.flatnonzero(there), prepend=np.argmax(there) - 1).astype(float)
+    y = rng.standard_normal(there.sum())
+    states = np.array([[MARKOV, 3, 0, 1, 1.2, 1], [WHITE, 1, 0, sd, sd, 1], [PREVIOUS, 1.5, 0, sd, sd, -1]])
+    states[0, 3] = 1.2 * np.sqrt(2 / 3)
+    ours = log_densities(
+        *(y, np.ones(y.size, bool), steps, np.zeros(y.size), np.full(y.size, 0.1), np.ones(y.size)),
+        *(states, NO_SHOCKS, NO_EXTRAS),
+    ).sum()
+    whole = covariance_of(np.arange(n, dtype=float), [("markov", 3.0, 0, 1.2)], 0.1)
+    whole += 2 * sd**2 * np.eye(n) - sd**2 * (np.eye(n, k=1) + np.eye(n, k=-1))
+
+    assert (steps > 1).any()
+    assert ours == pytest.approx(multivariate_normal(np.zeros(y.size), whole[np.ix_(there, there)]).logpdf(y), rel=1e-9)
 
 
 def test_a_random_walk_is_the_limit_of_a_long_time_constant():

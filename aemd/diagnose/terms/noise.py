@@ -194,11 +194,11 @@ class DifferenceNoise:
         """Of the deviation."""
         return [_WIDE]
 
-    def add(self, theta: Floats, data: Data, parts: Parts) -> None:  # noqa: ARG002 - a Term's
+    def add(self, theta: Floats, data: Data, parts: Parts) -> None:
         """Add w and the w before it."""
         sd = exp(theta[0])
         parts.states.append((WHITE, 1.0, 0.0, sd, sd, 1.0))
-        parts.states.append((PREVIOUS, 1.0, 0.0, 0.0, sd, -1.0))
+        parts.states.append((PREVIOUS, 1.5 * data.interval_s, 0.0, sd, sd, -1.0))
 
     def parameters(self, data: Data) -> Sequence[Parameter]:
         """Return the deviation of w."""
