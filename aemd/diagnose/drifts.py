@@ -1,6 +1,5 @@
 """Fits beside the most likely one with other drifts, each with its weight: what a slow term leaves open."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import exp, log, sqrt
@@ -9,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aemd.diagnose.fit import Fit
-from aemd.diagnose.hypothesis import Base, Bounds, Data, Parameter, Parts, Term, signal_and_drift
+from aemd.diagnose.hypothesis import Base, Bounds, Data, Fixed, Parts, Term, signal_and_drift
 from aemd.diagnose.kernels import MARKOV
 from aemd.diagnose.settled import UNLIKELY, Tried, information_at, log_volume, settled
 
@@ -125,7 +124,7 @@ def _rates(
 
 
 @dataclass(frozen=True, slots=True)
-class _Beside:
+class _Beside(Fixed):
     """A drift beside the base, without free numbers."""
 
     tau_s: float
@@ -133,19 +132,8 @@ class _Beside:
     cause: str = "drift"
     cost_nats: float = 0.0
 
-    @property
-    def start(self) -> Floats:
-        return np.empty(0)
-
-    @property
-    def bounds(self) -> Sequence[Bounds]:
-        return []
-
     def add(self, theta: Floats, data: Data, parts: Parts) -> None:  # noqa: ARG002 - it has no free numbers
         parts.states.append((MARKOV, self.tau_s, 0.0, self.rate, self.rate * sqrt(self.tau_s / 2), 1.0))
-
-    def parameters(self, data: Data) -> Sequence[Parameter]:  # noqa: ARG002 - it reports nothing
-        return []
 
 
 def _prior(fit: Fit, log_tau: float, log_rate: float) -> float:

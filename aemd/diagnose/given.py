@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from aemd import model
 from aemd.diagnose.apertures import averaged_markov, averaged_pair, struck_between
-from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts
+from aemd.diagnose.hypothesis import Data, Fixed, Parts
 from aemd.diagnose.kernels import MARKOV, PAIR, PAIR_SECOND, PREVIOUS, WHITE
 from aemd.diagnose.terms.witnessed import delayed, lagged
 from aemd.diagnose.undone import ABOUT_VALUES, UNDONE, undo, wider_noise
@@ -115,27 +115,13 @@ def student(variance: float, dof: float) -> tuple[Floats, Floats]:
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class Given(Fixed):
     """All parts of a stated model; it has no free numbers."""
 
     stated: model.Model
     aperture_s: float = 0.02
     cause: str = "base"
     cost_nats: float = 0.0
-
-    @property
-    def start(self) -> Floats:
-        """Nothing."""
-        return np.empty(0)
-
-    @property
-    def bounds(self) -> Sequence[Bounds]:
-        """Nothing."""
-        return []
-
-    def parameters(self, data: Data) -> Sequence[Parameter]:  # noqa: ARG002 - a Term's
-        """Nothing was estimated."""
-        return []
 
     def add(self, theta: Floats, data: Data, parts: Parts) -> None:  # noqa: ARG002 - a Term's
         """Put every part where it belongs."""

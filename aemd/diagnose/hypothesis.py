@@ -19,6 +19,7 @@ from aemd.diagnose.series import Series
 __all__ = [
     "Base",
     "Data",
+    "Fixed",
     "Parameter",
     "Parts",
     "Seen",
@@ -205,6 +206,26 @@ class Term(Protocol):
 
     def parameters(self, data: Data) -> Sequence[Parameter]:
         """Return what is reported of it."""
+
+
+class Fixed:
+    """What a term without free numbers has instead of them; such a term begins with this."""
+
+    __slots__ = ()
+
+    @property
+    def start(self) -> Floats:
+        """No free numbers."""
+        return np.empty(0)
+
+    @property
+    def bounds(self) -> Sequence[Bounds]:
+        """None."""
+        return []
+
+    def parameters(self, data: Data) -> Sequence[Parameter]:  # noqa: ARG002 - a Term's
+        """Return nothing, as nothing was estimated."""
+        return []
 
 
 @dataclass(frozen=True, slots=True)

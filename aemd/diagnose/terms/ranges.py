@@ -7,7 +7,7 @@ from math import exp, log
 import numpy as np
 from numpy.typing import NDArray
 
-from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts, Seen
+from aemd.diagnose.hypothesis import Bounds, Data, Fixed, Parameter, Parts, Seen
 
 __all__ = ["RangeOffset", "RangeOverlap", "RangeSwitching", "in_wide_range", "ranges_of"]
 
@@ -125,7 +125,7 @@ class RangeOffset:
 
 
 @dataclass(frozen=True, slots=True)
-class RangeOverlap:
+class RangeOverlap(Fixed):
     """An offset towards the other range, so that two readings of the input share a value; without free numbers.
 
     Between `low` and `high` a reading y was taken in the lower range, or in the upper one and moved down by their
@@ -146,16 +146,6 @@ class RangeOverlap:
     """Of the innovation, in squared units of the readings."""
     cost_nats: float
     cause: str = "range_switching"
-
-    @property
-    def start(self) -> Floats:
-        """None to begin with."""
-        return np.empty(0)
-
-    @property
-    def bounds(self) -> Sequence[Bounds]:
-        """None."""
-        return []
 
     def apart(self, y: Floats) -> Floats:
         """Return how far each reading is moved, shape (n,)."""
