@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-__all__ = ["Allan", "Diagnosis", "Discrepancy", "Finding", "Gain", "Likely", "Promise", "Value", "Verdict"]
+__all__ = ["Allan", "Diagnosis", "Discrepancy", "Finding", "Gain", "Likely", "Promise", "Value", "Verdict", "exact"]
 
 Verdict = Literal["nothing_found", "explained", "unexplained"]
 
@@ -17,6 +17,11 @@ class Value:
     low: float
     high: float
     unit: str
+
+
+def exact(value: float, unit: str) -> Value:
+    """Return a value that is counted, not estimated."""
+    return Value(value, value, value, unit)
 
 
 @dataclass(frozen=True, slots=True)

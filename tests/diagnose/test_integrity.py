@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from aemd.block import Status
-from aemd.diagnose.checks.integrity import check_raw, find_lattice
+from aemd.diagnose.checks.integrity import check_raw
+from aemd.diagnose.checks.lattice import find_lattice
 from tests.diagnose.plant import INTERVAL_S, N, clean, innovation_variance, series, times
 
 SD_V = 1e-3 * np.sqrt(innovation_variance())
@@ -122,6 +123,16 @@ def test_a_clipped_extreme_is_found_with_its_level(sign, quantile):
     assert defects["saturation"].parameters["fraction"].value == pytest.approx(0.01, rel=0.1)
 
 
+def test_readings_clipped_at_both_ends_are_saturated_and_not_stuck():
+    y = clean(6)
+    low, high = np.quantile(y, [0.03, 0.96])
+    (defect,) = check_raw(series(np.clip(y, low, high)), SD_V)
+
+    assert defect.cause == "saturation"
+    assert defect.parameters["level_V"].value in (low, high)
+    assert defect.parameters["fraction"].value == pytest.approx(0.07, rel=0.02)
+
+
 def test_flagged_overloads_are_saturation():
     y, status = clean(7), np.zeros(N, np.uint32)
     y[50:60], status[50:60] = np.nan, int(Status.OVERLOAD_HIGH)
@@ -145,6 +156,20 @@ def test_an_interval_off_by_a_thousandth_is_a_clock_error():
 
     assert defect.cause == "clock_error"
     assert defect.parameters["ratio"].value == pytest.approx(1.001, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("slowed", "between_eighths"),
+    [(lambda i: np.where(i > 0.4 * N, (i - 0.4 * N) * 5e-4, 0.0), 5e-4), (lambda i: 2.5e-4 * i**2 / N, 5e-4 * 7 / 8)],
+    ids=["at once", "by and by"],
+)
+def test_a_clock_that_slows_in_a_table_is_a_clock_error(slowed, between_eighths):
+    """Of t = i + c i^2 / 2 the mean intervals of the first and the last eighth are 7/8 of c n apart."""
+    stamps = times() + slowed(np.arange(N)) * INTERVAL_S
+    (defect,) = check_raw(series(clean(9), time_s=np.round(stamps, 6), numbered=False, nominal_interval_s=0.0), SD_V)
+
+    assert defect.cause == "clock_error"
+    assert defect.parameters["ratio"].value - 1 == pytest.approx(between_eighths, rel=0.02)
 
 
 def test_losses_that_the_numbers_hide_are_seen_in_the_stamps_and_no_clock_is_blamed():

@@ -1,4 +1,4 @@
-"""What is wrong with the readings themselves: lost, repeated, stuck, rounded, clipped, badly stamped.
+"""What is wrong with the readings themselves: repeated, stuck, rounded, clipped; and their times (stamps.py).
 
 These run first, on the raw column, because what they find must not be explained by noise. Each null is an exact bound.
 Where it needs to know how predictable a reading is, it takes the innovation variance S of the base fit: given the past,
@@ -10,14 +10,16 @@ from math import erf, inf, log, log10, nan, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtr
-from scipy.stats import binom, norm
+from scipy.special import log_ndtr
+from scipy.stats import binom
 
+from aemd.diagnose.checks.lattice import find_lattice, find_lattice_within
+from aemd.diagnose.checks.stamps import clock_error, missing_samples, timestamp_jitter
 from aemd.diagnose.evidence import Defect
-from aemd.diagnose.result import Value
+from aemd.diagnose.result import Value, exact
 from aemd.diagnose.series import OVERLOAD, Series
 
-__all__ = ["check_raw", "find_lattice"]
+__all__ = ["check_raw"]
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -26,17 +28,6 @@ _SURE = 1e-6
 """p below which a defect is one. Far below the other checks' level, so that these never spend of it."""
 _COARSE = 0.3
 """Lattice step in innovation deviations from which rounding is more than 0.7 % of the variance, and is reported."""
-_JITTER = 0.01
-"""Scatter of the stamps, in intervals, from which it is reported: at 1 % the fastest swing that 15 readings/s can
-follow is off by 3 % of its amplitude."""
-_DISTINCT = 0.9
-"""Part of the values that may be distinct, at most, on a lattice."""
-_PATTERNS = (2, 3, 4, 5)
-"""Periods, readings, of what may have been added to a lattice."""
-_UNEVEN = 0.1
-_FITTING = 0.95
-_CLOCK = 1e-4
-"""Deviation of the interval from the nominal one that is reported; a bench meter's timer keeps 1e-5."""
 
 
 def check_raw(series: Series, innovation_sd_V: float) -> list[Defect]:
@@ -46,7 +37,7 @@ def check_raw(series: Series, innovation_sd_V: float) -> list[Defect]:
         series: the readings.
         innovation_sd_V: of the base model's one-step prediction, V.
     """
-    q_V = find_lattice(series.value_V[series.used]) or lattice_within(series)
+    q_V = find_lattice(series.value_V[series.used]) or find_lattice_within(series)
     band = dead_band(series, q_V, innovation_sd_V)
     clipped = saturation(series, q_V, innovation_sd_V)
     # What rests in the band rests at its level, and what is clipped at the range's end: neither is stuck.
@@ -65,75 +56,6 @@ def check_raw(series: Series, innovation_sd_V: float) -> list[Defect]:
         clock_error(series),
     ]
     return [defect for defect in found if defect is not None]
-
-
-def exact(value: float, unit: str) -> Value:
-    """Return a value that is counted, not estimated."""
-    return Value(value, value, value, unit)
-
-
-def missing_samples(series: Series) -> Defect | None:
-    """Find steps of more than one interval: counted by the index, or seen in the stamps."""
-    jumps = np.diff(series.slot) - 1
-    lost, gaps = int(np.sum(jumps)), int(np.count_nonzero(jumps))
-    invalid = int(np.count_nonzero(~series.used & ((series.status & OVERLOAD) == 0)))
-    if lost + invalid == 0:
-        return None
-    counted = series.numbered and lost <= int(series.index[-1] - series.index[0]) + 1 - series.index.size
-    known = "the readings' numbers" if counted else "the time stamps"
-    return Defect(
-        cause="missing_samples",
-        p_value=0.0,
-        parameters={
-            "lost": exact(lost + invalid, ""),
-            "gaps": exact(gaps, ""),
-            "fraction": exact((lost + invalid) / (lost + series.index.size), ""),
-        },
-        experiment=f"{known} show it; look for a stalled host or a full buffer at the first gap, and for its period",
-        check="readings missing",
-        observed=lost + invalid,
-        expected=0,
-    )
-
-
-def find_lattice(values: Floats) -> float:
-    """Return the step of the lattice that the values lie on; 0 if there is none.
-
-    The steps between neighbouring distinct values must be whole multiples of their typical one, to a tenth: a meter's
-    lattice that a log rounded to decimals is not exact. Values that hardly ever repeat have no lattice that matters.
-
-    >>> find_lattice(np.array([0.3, 0.1, 0.7, 0.4, 0.2] * 20))
-    0.1
-    """
-    distinct, counts = np.unique(values, return_counts=True)
-    if distinct.size < 2 or distinct.size > _DISTINCT * values.size:
-        return 0.0
-    steps = np.diff(distinct)
-    near = np.minimum(np.concatenate((steps, [inf])), np.concatenate(([inf], steps)))
-    order = np.argsort(near)
-    q = float(near[order][np.searchsorted(np.cumsum(counts[order]), 0.5 * values.size)])
-    multiples = np.maximum(np.rint(steps / q), 1.0)
-    if np.mean(np.abs(steps / q - multiples) < _UNEVEN * np.sqrt(multiples)) < _FITTING:
-        return 0.0
-    q = float(steps.sum() / multiples.sum())
-    short = float(f"{q:.3g}")
-    return short if abs(short - q) * float(multiples.sum()) < 0.1 * q else q
-
-
-def lattice_within(series: Series) -> float:
-    """Return the step of a lattice to which a pattern of some readings' period was added; 0 if there is none.
-
-    Together its phases are as many lattices beside each other, with uneven steps between; each alone is one, of the
-    same step.
-    """
-    values, slot = series.value_V[series.used], series.slot[series.used]
-    if np.unique(values).size > _DISTINCT * values.size:
-        return 0.0
-    for period in _PATTERNS:
-        steps = [find_lattice(values[slot % period == phase]) for phase in range(period)]
-        if 0 < max(steps) < (1 + _UNEVEN) * min(steps):
-            return float(np.median(steps))
-    return 0.0
 
 
 def _tie_probability(values: Floats, q_V: float, innovation_sd_V: float) -> float:
@@ -312,8 +234,9 @@ def saturation(series: Series, q_V: float, innovation_sd_V: float) -> Defect | N
     values = series.value_V
     overloads = int(np.count_nonzero(series.status & OVERLOAD))
     cell = max(q_V, float(np.spacing(np.nanmax(np.abs(values)))) * 4)
-    best: tuple[float, str, float, int] | None = None
-    for side, signed in (("high", values), ("low", -values)):
+    ends: list[tuple[float, float]] = []
+    for sign in (1.0, -1.0):
+        signed = sign * values
         extreme = float(np.nanmax(signed))
         at = np.flatnonzero(signed >= extreme - 0.25 * cell)
         if at.size < 3:
@@ -324,76 +247,22 @@ def saturation(series: Series, q_V: float, innovation_sd_V: float) -> Defect | N
         beyond = log_ndtr(-(distance + cell / innovation_sd_V)) - log_ndtr(-distance)
         inside = np.log(-np.expm1(np.minimum(beyond, -1e-12)))
         log_p = log(values.size) + float(np.sum(inside)) - float(np.min(inside))  # one is there by definition
-        if best is None or log_p < best[0]:
-            best = log_p, side, extreme if side == "high" else -extreme, int(at.size)
-    if overloads:
-        level = best[2] if best is not None and best[0] < log(_SURE) else float(np.nanmax(np.abs(values)))
-        log_p, count = -inf, overloads
-    elif best is not None and best[0] < log(_SURE):
-        log_p, _, level, count = best
-    else:
+        if log_p < log(_SURE):
+            ends.append((log_p, sign * extreme))
+    if not ends and not overloads:
         return None
-    clipped = (values == level) | ((series.status & OVERLOAD) != 0)
+    clipped = np.isin(values, [level for _, level in ends]) | ((series.status & OVERLOAD) != 0)
+    log_p, level = min(ends, default=(-inf, float(np.nanmax(np.abs(values)))))
     return Defect(
         cause="saturation",
-        p_value=float(np.exp(max(log_p, -690.0))) if log_p > -inf else 0.0,
+        p_value=0.0 if overloads else float(np.exp(max(log_p, -690.0))),
         parameters={
             "level_V": exact(level, "V"),
-            "fraction": exact(count / values.size, ""),
+            "fraction": exact(float(clipped.mean()), ""),
         },
         experiment="take the next range for a minute: the readings go beyond the level if the range cut them",
-        check="readings at the extreme",
-        observed=count,
+        check="readings at the extremes" if len(ends) > 1 else "readings at the extreme",
+        observed=int(np.count_nonzero(clipped)),
         expected=2,
         dropped=clipped,
-    )
-
-
-def timestamp_jitter(series: Series) -> Defect | None:
-    """Find stamps that scatter about the grid by more than the digits they are written with."""
-    grid = series.slot
-    slope, start = np.polyfit(grid, series.time_s, 1)
-    left = series.time_s - (start + slope * grid)
-    # Against a running mean, so that a clock that wanders is not taken for one that jitters.
-    jitter = np.diff(left)
-    sd = 1.4826 * float(np.median(np.abs(jitter - np.median(jitter)))) / sqrt(2)
-    plain = float(np.std(jitter)) / sqrt(2)
-    sd = plain if plain < 3 * sd else sd  # a clock that was set once is not scatter
-    digits = find_lattice(series.time_s)
-    rounding = digits / sqrt(12)
-    if sd < _JITTER * series.interval_s or sd < 2 * rounding:
-        return None
-    worst = float(np.abs(left).max())
-    sd = sqrt(max(sd**2 - rounding**2, 0.0))
-    error = sd * sqrt(1.5 / (2 * series.index.size))  # neighbouring differences share a stamp
-    return Defect(
-        cause="timestamp_jitter",
-        p_value=float(norm.sf(min(sd / max(rounding, 1e-12), 37.0))),
-        parameters={"sd_s": Value(sd, sd - 2 * error, sd + 2 * error, "s"), "worst_s": exact(worst, "s")},
-        experiment="let the meter's own timer pace and number the readings; stamps given by a host scatter as it does",
-        check="scatter of the time stamps about their grid, intervals",
-        observed=sd / series.interval_s,
-        expected=_JITTER,
-    )
-
-
-def clock_error(series: Series) -> Defect | None:
-    """Find an interval that is not the nominal one."""
-    if series.nominal_interval_s <= 0:
-        return None
-    grid = series.slot
-    slope, _ = np.polyfit(grid, series.time_s, 1)
-    left = series.time_s - np.polyval(np.polyfit(grid, series.time_s, 1), grid)
-    error = float(np.std(left)) * sqrt(12) / (grid[-1] * sqrt(grid.size)) / series.nominal_interval_s
-    ratio = float(slope) / series.nominal_interval_s
-    if abs(ratio - 1) < max(_CLOCK, 6 * error):
-        return None
-    return Defect(
-        cause="clock_error",
-        p_value=float(2 * ndtr(-min(abs(ratio - 1) / max(error, 1e-9), 37.0))),
-        parameters={"ratio": Value(ratio, ratio - 2 * error, ratio + 2 * error, "")},
-        experiment="time 1,000 readings against a second clock; ask the meter for the interval that it really keeps",
-        check="interval over the nominal one, minus 1",
-        observed=ratio - 1,
-        expected=_CLOCK,
     )

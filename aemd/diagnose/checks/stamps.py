@@ -1,0 +1,119 @@
+"""What is wrong with the readings' times: some lost, stamps that scatter, a clock that is not as fast as it says."""
+
+from math import sqrt
+
+import numpy as np
+from scipy.special import ndtr
+from scipy.stats import norm
+
+from aemd.diagnose.checks.lattice import find_lattice
+from aemd.diagnose.evidence import Defect
+from aemd.diagnose.result import Value, exact
+from aemd.diagnose.series import OVERLOAD, Series
+
+__all__ = ["clock_error", "missing_samples", "timestamp_jitter"]
+
+_JITTER = 0.01
+"""Scatter of the stamps, in intervals, from which it is reported: at 1 % the fastest swing that 15 readings/s can
+follow is off by 3 % of its amplitude."""
+_CLOCK = 1e-4
+"""Deviation of the interval from the nominal one that is reported; a bench meter's timer keeps 1e-5."""
+_EIGHTHS = 8
+"""Parts of the record whose intervals are compared; those of real logs of hours keep to 4e-6."""
+
+
+def missing_samples(series: Series) -> Defect | None:
+    """Find steps of more than one interval: counted by the index, or seen in the stamps."""
+    jumps = np.diff(series.slot) - 1
+    lost, gaps = int(np.sum(jumps)), int(np.count_nonzero(jumps))
+    invalid = int(np.count_nonzero(~series.used & ((series.status & OVERLOAD) == 0)))
+    if lost + invalid == 0:
+        return None
+    counted = series.numbered and lost <= int(series.index[-1] - series.index[0]) + 1 - series.index.size
+    known = "the readings' numbers" if counted else "the time stamps"
+    return Defect(
+        cause="missing_samples",
+        p_value=0.0,
+        parameters={
+            "lost": exact(lost + invalid, ""),
+            "gaps": exact(gaps, ""),
+            "fraction": exact((lost + invalid) / (lost + series.index.size), ""),
+        },
+        experiment=f"{known} show it; look for a stalled host or a full buffer at the first gap, and for its period",
+        check="readings missing",
+        observed=lost + invalid,
+        expected=0,
+    )
+
+
+def timestamp_jitter(series: Series) -> Defect | None:
+    """Find stamps that scatter about the grid by more than the digits they are written with."""
+    grid = series.slot
+    slope, start = np.polyfit(grid, series.time_s, 1)
+    left = series.time_s - (start + slope * grid)
+    # Against a running mean, so that a clock that wanders is not taken for one that jitters.
+    jitter = np.diff(left)
+    sd = 1.4826 * float(np.median(np.abs(jitter - np.median(jitter)))) / sqrt(2)
+    plain = float(np.std(jitter)) / sqrt(2)
+    sd = plain if plain < 3 * sd else sd  # a clock that was set once is not scatter
+    digits = find_lattice(series.time_s)
+    rounding = digits / sqrt(12)
+    if sd < _JITTER * series.interval_s or sd < 2 * rounding:
+        return None
+    worst = float(np.abs(left).max())
+    sd = sqrt(max(sd**2 - rounding**2, 0.0))
+    error = sd * sqrt(1.5 / (2 * series.index.size))  # neighbouring differences share a stamp
+    return Defect(
+        cause="timestamp_jitter",
+        p_value=float(norm.sf(min(sd / max(rounding, 1e-12), 37.0))),
+        parameters={"sd_s": Value(sd, sd - 2 * error, sd + 2 * error, "s"), "worst_s": exact(worst, "s")},
+        experiment="let the meter's own timer pace and number the readings; stamps given by a host scatter as it does",
+        check="scatter of the time stamps about their grid, intervals",
+        observed=sd / series.interval_s,
+        expected=_JITTER,
+    )
+
+
+def clock_error(series: Series) -> Defect | None:
+    """Find an interval that is not the nominal one, or that is not the same all along."""
+    return _off_nominal(series) or _uneven_clock(series)
+
+
+def _off_nominal(series: Series) -> Defect | None:
+    if series.nominal_interval_s <= 0:
+        return None
+    grid = series.slot
+    slope, _ = np.polyfit(grid, series.time_s, 1)
+    left = series.time_s - np.polyval(np.polyfit(grid, series.time_s, 1), grid)
+    error = float(np.std(left)) * sqrt(12) / (grid[-1] * sqrt(grid.size)) / series.nominal_interval_s
+    return _clock_defect(float(slope) / series.nominal_interval_s, error, "interval over the nominal one, minus 1")
+
+
+def _uneven_clock(series: Series) -> Defect | None:
+    """Compare the interval in eighths of the record: the median over the stamps a sixty-fourth of the record apart.
+
+    A clock that was set once moves few of those; stamps that scatter move all, each by as much as the error says.
+    """
+    rates, errors = [], []
+    for eighth in np.array_split(np.arange(series.slot.size), _EIGHTHS):
+        grid, time_s = series.slot[eighth], series.time_s[eighth]
+        apart = eighth.size // _EIGHTHS
+        rates.append(float(np.median((time_s[apart:] - time_s[:-apart]) / (grid[apart:] - grid[:-apart]))))
+        scatter_s = float(np.std(time_s - np.polyval(np.polyfit(grid - grid[0], time_s, 1), grid - grid[0])))
+        errors.append(scatter_s * sqrt(2) / apart)
+    error = sqrt(2) * float(np.median(errors)) / series.interval_s
+    return _clock_defect(max(rates) / min(rates), error, "slowest interval over the quickest, of eighths, minus 1")
+
+
+def _clock_defect(ratio: float, error: float, check: str) -> Defect | None:
+    if abs(ratio - 1) < max(_CLOCK, 6 * error):
+        return None
+    return Defect(
+        cause="clock_error",
+        p_value=float(2 * ndtr(-min(abs(ratio - 1) / max(error, 1e-9), 37.0))),
+        parameters={"ratio": Value(ratio, ratio - 2 * error, ratio + 2 * error, "")},
+        experiment="time 1,000 readings against a second clock; ask the meter for the interval that it really keeps",
+        check=check,
+        observed=ratio - 1,
+        expected=_CLOCK,
+    )
