@@ -91,7 +91,12 @@ def judge_all(searched: Searched, defects: list[Defect]) -> Judged:
         why = why_unfit(fit, searched.evidence) if findings else ""
     # Where the search stopped, more is known to be there; a band with a top of its own is no part of it.
     sharp = ("resonance",) if searched.stopped else ()
-    findings = [_doubted(item, why) if item.cause in _BROAD and item.cause not in sharp else item for item in findings]
+    # What surprises less than what is left may all be part of that, whatever its name asks for.
+    left = 1.0 if searched.stopped else min((item.p_value for item in searched.left), default=1.0)
+    findings = [
+        _doubted(item, why) if item.p_value > left or (item.cause in _BROAD and item.cause not in sharp) else item
+        for item in findings
+    ]
     return Judged(fit, tuple(findings), together, spread)
 
 

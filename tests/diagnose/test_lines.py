@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from aemd.diagnose.checks.shapes import check_pattern
 from aemd.diagnose.checks.spectrum import check_lines, make_periodogram
 from aemd.diagnose.fit import Fit, residuals
 from aemd.diagnose.hypothesis import Base, base_box, make_data
@@ -61,3 +62,21 @@ def test_the_interval_of_an_amplitude_reaches_as_far_up_as_down():
     # The deviation of an amplitude in white noise is sqrt(2 / n).
     assert told.high - told.value == pytest.approx(told.value - told.low, rel=1e-9)
     assert told.high - told.low == pytest.approx(2 * 1.96 * np.sqrt(2 / 3_000), rel=0.1)
+
+
+def test_the_sides_of_a_strong_line_are_no_harmonics_of_it_that_fold_beside_it():
+    """At 15 readings/s all harmonics of 49.995 Hz fold to within 0.03 Hz of 0 and 5 Hz, three frequencies of 100 s."""
+    combs = [mains_of(without_lines(hum(seed, 1_500, 15.0, 37.0, 49.995), 15.0)).harmonics for seed in range(20)]
+
+    assert set(combs) == {(1,)}
+
+
+def test_what_alternates_from_reading_to_reading_is_a_pattern_of_two_and_no_line_without_a_second_amplitude():
+    value = hum(4, 3_000, 15.0, 0.0) + 0.15 * np.where(np.arange(3_000) % 2, 1.0, -1.0)
+    fit = without_lines(value, 15.0)
+    (pattern,) = check_pattern(fit).terms
+    line = next(term for term in check_lines(fit, make_periodogram(fit), None).terms)
+    frequencies_hz = line.frequency_hz + np.array(line.bounds[0]) / fit.data.span_s
+
+    assert pattern.period == 2
+    assert frequencies_hz.max() == pytest.approx(7.5 - 0.5 / fit.data.span_s)

@@ -125,6 +125,9 @@ def check_pattern(fit: Fit) -> Evidence:
         return Evidence("pattern locked to the reading's number, chi-square per degree", 1.0, 1.0, 0.0, 3.0)
     p_value, period, statistic = min(tries)
     corrected = bonferroni(p_value, len(tries))
+    observed, high = (value / (period - 1) for value in (statistic, float(chi2.isf(0.025 / len(tries), period - 1))))
+    # What comes every other reading comes every fourth as well: the period is the one that is worth its freedom.
+    _, period, _ = max(tries, key=lambda one: one[2] / 2 - amplitude_cost(one[1] - 1, data.n))
     terms: tuple[ReadingPattern, ...] = ()
     if corrected < 0.05:
         phase = data.slot % period
@@ -137,8 +140,8 @@ def check_pattern(fit: Fit) -> Evidence:
     return Evidence(
         check="pattern locked to the reading's number: chi-square per degree",
         p_value=corrected,
-        observed=statistic / (period - 1),
+        observed=observed,
         low=0.0,
-        high=float(chi2.isf(0.025 / len(tries), period - 1)) / (period - 1),
+        high=high,
         terms=terms,
     )

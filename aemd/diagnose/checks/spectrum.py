@@ -5,7 +5,7 @@ band has Baluev's law. The amplitude and phase of the effect follow from a regre
 sine: the filter's response does not have to be known in closed form.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, pi, sqrt
 
 import numpy as np
@@ -81,7 +81,7 @@ def check_lines(fit: Fit, periodogram: Periodogram, line_frequency_hz: float | N
     if p_value < 0.1:
         frequency = _refine(fit, frequency)
         terms = [_free_line(fit, frequency, periodogram)]
-        mains = _mains(fit, frequency, periodogram, line_frequency_hz)
+        mains = _mains(fit, frequency, line_frequency_hz)
         if mains is not None:
             terms.append(mains)
     return Evidence(
@@ -114,7 +114,9 @@ def _refine(fit: Fit, frequency_hz: float) -> float:
     low, middle, high = (float(abs(np.sum(turn * spin**k)) ** 2) for k in (-1, 0, 1))
     bend = low - 2 * middle + high
     shift = 0.5 * (low - high) / bend if bend < 0 else 0.0
-    return float(np.clip(frequency_hz + np.clip(shift, -1, 1) * apart, 0, 0.5 / fit.data.interval_s))
+    # Nearer to the ends of the band one of the two amplitudes shows nothing, and what the other does is a pattern.
+    end = 1 / fit.data.span_s
+    return float(np.clip(frequency_hz + np.clip(shift, -1, 1) * apart, end, 0.5 / fit.data.interval_s - end))
 
 
 def still_line(fit: Fit, near_hz: float, width_hz: float) -> Sines:
@@ -131,7 +133,9 @@ def _free_line(fit: Fit, frequency_hz: float, periodogram: Periodogram) -> Sines
             _, power = periodogram.near(harmonic * frequency_hz, 0.5 * harmonic / data.span_s)
             if power > _joins(data, harmonic):
                 harmonics.append(harmonic)
-    return _sines(fit, "periodic_interference", frequency_hz, 1.5, harmonics, log(periodogram.cells))
+    from_end = min(frequency_hz, 0.5 / data.interval_s - frequency_hz) * data.span_s
+    reach = min(1.5, from_end - 0.5)
+    return _sines(fit, "periodic_interference", frequency_hz, reach, harmonics, log(periodogram.cells))
 
 
 def _joins(data: Data, times: float) -> float:
@@ -144,7 +148,7 @@ def _joins(data: Data, times: float) -> float:
     return amplitude_cost(2, data.n) + log(max(times, 1.0))
 
 
-def _mains(fit: Fit, frequency_hz: float, periodogram: Periodogram, line_frequency_hz: float | None) -> Sines | None:
+def _mains(fit: Fit, frequency_hz: float, line_frequency_hz: float | None) -> Sines | None:
     """Return the mains whose folded harmonics explain the line best, if one can."""
     data, rate = fit.data, 1 / fit.data.interval_s
     best: tuple[float, Sines] | None = None
@@ -159,13 +163,14 @@ def _mains(fit: Fit, frequency_hz: float, periodogram: Periodogram, line_frequen
             # The frequency that folds exactly there, and its other harmonics that stand out as well.
             true = (rate * round(grid * harmonic / rate) + np.copysign(frequency_hz, side)) / harmonic
             present = {harmonic: np.inf}
+            beside = _without(fit, harmonic * true)
             for other in harmonics:
                 near, times = fold(other * true, rate), other / harmonic
                 if other == harmonic or near < 2 / data.span_s:
                     continue
                 if any(abs(near - fold(h * true, rate)) < 2 / data.span_s for h in present):
                     continue
-                _, power = periodogram.near(near, 0.5 * max(times, 1.0) / data.span_s)
+                _, power = beside.near(near, 0.5 * max(times, 1.0) / data.span_s)
                 if power > _joins(data, times):
                     present[other] = power
             loudest = sorted(present, key=lambda h: -present[h])[:_MOST_AT_ONCE]
@@ -176,6 +181,13 @@ def _mains(fit: Fit, frequency_hz: float, periodogram: Periodogram, line_frequen
                 order = [harmonic, *sorted(loudest[1:])]
                 best = worth - cost, _sines(fit, "mains_alias", true, 1.5 / harmonic, order, cost)
     return None if best is None else best[1]
+
+
+def _without(fit: Fit, frequency_hz: float) -> Periodogram:
+    """Return the periodogram beside a line: the sides of a strong one pass for harmonics that fold next to it."""
+    waves = np.column_stack([fit.whitened(wave) for wave in _wave(fit.data, frequency_hz)])
+    left = fit.z - waves @ np.linalg.lstsq(waves, fit.z, rcond=None)[0]
+    return make_periodogram(replace(fit, z=left))
 
 
 def _sines(
