@@ -54,7 +54,11 @@ _STILL_TO_COME = 3.0  # times its last step's gain that a start is given credit 
 
 def split(terms: Sequence[Term], theta: Floats) -> list[Floats]:
     """Return each term's free numbers."""
-    return np.split(theta, np.cumsum([term.start.size for term in terms])[:-1])
+    parts, at = list[Floats](), 0
+    for term in terms[:-1]:
+        parts.append(theta[at : at + term.start.size])
+        at += parts[-1].size
+    return [*parts, theta[at:]]
 
 
 def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[Seen, Parts, tuple[Any, ...]]:

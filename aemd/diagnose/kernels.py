@@ -19,7 +19,8 @@ mixture as a standard normal z; of an interval, that of an even choice within it
 of independent N(0, 1).
 
 All that is compiled stands in this one file, because numba's cache notices a change only in the file of the function
-that is called from outside.
+that is called from outside. A division by zero gives what numpy's gives: to look for one at every division, as Python
+does, is a third of the filter's work, and what is not finite is met where the densities are summed.
 """
 
 from math import cos, erf, erfc, exp, log, pi, sin, sqrt
@@ -68,7 +69,7 @@ _NEGLIGIBLE = 1e-4
 """Probability of a history from which it is dropped; a jump a moment later brings it back."""
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def transition(step_s: float, states: Floats, keep: Floats, turn: Floats, noise: Floats) -> None:
     """Fill what a step does to each state: factor, coupling to its partner, variance added."""
     for i in range(states.shape[0]):
@@ -93,7 +94,7 @@ def transition(step_s: float, states: Floats, keep: Floats, turn: Floats, noise:
             noise[i] = 0.0 if next_to else rate * rate
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def advance_vector(states: Floats, keep: Floats, turn: Floats, x: Floats) -> None:
     """Apply the step to a vector, in place."""
     i = states.shape[0] - 1
@@ -112,7 +113,7 @@ def advance_vector(states: Floats, keep: Floats, turn: Floats, x: Floats) -> Non
             i -= 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _advance_covariance(states: Floats, keep: Floats, turn: Floats, noise: Floats, p: Floats, work: Floats) -> None:
     """Apply the step to a covariance, in place: to its columns, then to its rows; `work` holds one of them."""
     m = states.shape[0]
@@ -132,7 +133,7 @@ def _advance_covariance(states: Floats, keep: Floats, turn: Floats, noise: Float
         p[i, i] += noise[i]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _within(a: float, b: float) -> float:
     """Return the probability that a standard normal number is between a and b, a <= b; in a tail to all digits."""
     if a > 0.0:
@@ -140,7 +141,7 @@ def _within(a: float, b: float) -> float:
     return 0.5 * (erfc(-b / sqrt(2.0)) - erfc(-a / sqrt(2.0)))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _cut(a: float, b: float, inside: float) -> tuple[float, float]:
     """Return mean and variance of a standard normal number between a and b, given the probability of that.
 
@@ -158,7 +159,7 @@ def _cut(a: float, b: float, inside: float) -> tuple[float, float]:
     return mean, min(max(1.0 + bend / inside - mean * mean, 0.0), 1.0)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _filter(
     y: Floats,
     used: NDArray[np.bool_],
@@ -465,7 +466,7 @@ def predict(
     return each, z, predicted, variance, gains
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def whiten(template: Floats, step_s: Floats, states: Floats, gains: Floats, used: NDArray[np.bool_]) -> Floats:
     """Return what the filter, with the gains it had, leaves of a template added to the readings, shape (n,).
 
@@ -493,7 +494,7 @@ def whiten(template: Floats, step_s: Floats, states: Floats, gains: Floats, used
     return left
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def colour(
     innovation: Floats, jump: Floats, struck: Floats, step_s: Floats, states: Floats, gains: Floats, scale: Floats
 ) -> Floats:

@@ -105,9 +105,12 @@ class Popcorn:
 def rung(marks: Floats, step_s: Floats, frequency_hz: float, decay_s: float) -> NDArray[np.complex128]:
     """Return the sum of the damped complex waves that marks set off, from the reading after each on, shape (n,)."""
     out = np.empty(marks.size, np.complex128)
-    level = 0j
+    level, turn, last_step = 0j, 1 + 0j, 0.0
     for k in range(marks.size):
-        level *= np.exp(complex(-1 / decay_s, 2 * pi * frequency_hz) * step_s[k])
+        if step_s[k] != last_step:
+            last_step = step_s[k]
+            turn = np.exp(complex(-1 / decay_s, 2 * pi * frequency_hz) * last_step)
+        level *= turn
         out[k] = level
         level += marks[k]
     return out
