@@ -1,16 +1,22 @@
 """What a term adds to the likelihood, where its score at nothing sees too little."""
 
+from math import erfc, sqrt
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from aemd.diagnose.checks.colour import gain_of_smoothing
 from aemd.diagnose.checks.gains import tail_of_one
-from aemd.diagnose.checks.moments import gain_of_bend, gain_of_growth
-from aemd.diagnose.fit import fit_base
+from aemd.diagnose.checks.moments import check_moments, gain_of_bend, gain_of_growth
+from aemd.diagnose.fit import fit_base, residuals
+from aemd.diagnose.given import Given
 from aemd.diagnose.hypothesis import make_data
 from aemd.diagnose.terms.noise import SignalDependentNoise
+from aemd.diagnose.terms.ranges import RangeSwitching
 from aemd.diagnose.terms.shapes import Nonlinearity
+from aemd.model import Level, Model, WhiteNoise
+from aemd.model import RangeSwitching as StatedRanges
 from tests.diagnose.plant import clean, series
 
 NOTHING = Nonlinearity(0.0, 0.0)
@@ -61,3 +67,25 @@ def test_a_record_without_them_gains_little(seed, shocks_per_s):
     assert tail_of_one(gain_of_smoothing(fit)) > 0.01
     assert tail_of_one(gain_of_bend(fit, NOTHING)) > 0.01
     assert tail_of_one(gain_of_growth(fit, SignalDependentNoise(1e-3, 0.0))) > 0.01
+
+
+@pytest.mark.parametrize("ranges", ["none", "found", "stated"])
+def test_a_bend_is_told_by_its_score_where_ranges_switch(ranges):
+    """It would move readings across the switch, and gain by each as no normal law has it."""
+    data = make_data(series(1.0 + 1e-3 * np.random.default_rng(5).standard_normal(500)))
+    fit = fit_base(data)
+    if ranges == "found":
+        term = RangeSwitching(1.0 / data.unit_V, 0.0, 0.1, 0.1, 0.0)
+        fit = residuals([*fit.terms, term], np.append(fit.theta, term.start), data)
+    elif ranges == "stated":
+        white = WhiteNoise.from_sd(1e-3, 0.02)
+        stated = Given(Model((Level(level_V=1.0), white), 1, (StatedRanges(threshold_V=1.0, offset_V=1e-4),)))
+        fit = residuals([stated], np.empty(0), data)
+
+    (told,) = (item for item in check_moments(fit) if "bent scale" in item.check)
+
+    if ranges == "none":
+        assert told.check.endswith("nats gained by the bend")
+    else:
+        assert told.check.endswith("score in deviations")
+        assert told.p_value == pytest.approx(erfc(abs(told.observed) / sqrt(2)))

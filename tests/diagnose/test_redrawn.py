@@ -6,13 +6,14 @@ from math import erfc, sqrt
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from aemd.diagnose.climb import climb
 from aemd.diagnose.evidence import Evidence
 from aemd.diagnose.fit import Fit, fit_base, residuals
 from aemd.diagnose.hypothesis import Base, make_data
 from aemd.diagnose.rebased import rebased
-from aemd.diagnose.redrawn import Redrawn, draw, judged_by
+from aemd.diagnose.redrawn import Redrawn, _smoothed, draw, judged_by
 from aemd.diagnose.terms.noise import ChangingNoise, Resonance, Smoothing
 from tests.diagnose.plant import INTERVAL_S, clean, series, times
 
@@ -85,6 +86,18 @@ def test_what_is_drawn_from_a_fit_leaves_white_residuals_there(aperture_s, term)
     assert np.mean(z[1:] * z[:-1]) == pytest.approx(0.0, abs=0.11)
     assert (drawn.y == draw(fit, 0).y).all()
     assert not (drawn.y == draw(fit, 1).y)[drawn.used].any()
+
+
+def test_over_a_gap_a_smoothing_goes_on_as_if_each_lost_reading_had_been_what_the_next_is():
+    rng, kept = np.random.default_rng(11), 0.7
+    y, lost = rng.standard_normal(300), rng.random(300) < 0.4
+    lost[[0, -1]] = False
+    data = make_data(series(np.where(lost, np.nan, y)))
+    following = y[~lost][np.cumsum(~lost) - ~lost]
+
+    expected = lfilter([1 - kept], [1, -kept], following, zi=[kept * y[0]])[0]
+
+    np.testing.assert_allclose(_smoothed(y, data, kept)[~lost], expected[~lost], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("decay_s", [0.02, 0.5])

@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+from scipy.stats import norm
 
 from aemd.diagnose import criticise
 from aemd.diagnose.climb import densities
 from aemd.diagnose.hypothesis import Base, base_box, make_data
 from aemd.diagnose.terms.shapes import Nonlinearity, straight
-from tests.diagnose.plant import N, clean, markov, series
+from tests.diagnose.plant import INTERVAL_S, N, clean, markov, series
 
 BENDS = (0.3, -0.3, 1e-9)
 
@@ -40,6 +42,32 @@ def test_the_density_of_a_bent_reading_is_that_of_the_straight_one_times_the_slo
 
     assert bent == pytest.approx(np.where(data.used, plain + np.log(slope), 0.0))
     assert not bent[~data.used].any()
+
+
+@pytest.mark.parametrize("bend", [0.2, -0.2])
+def test_of_a_bent_reading_known_by_an_interval_the_straight_intervals_probability_counts(bend):
+    """Of white noise of deviation 0.8; every third interval is open on one side or the other."""
+    rng = np.random.default_rng(12)
+    x = 0.8 * np.clip(rng.standard_normal(90), -1.6, 1.6)
+    ends = np.sort(x[:, None] + rng.uniform(-0.5, 0.5, (90, 2)), axis=1)
+    bent, data = ends + bend * ends**2, make_data(series(1.0 + 1e-3 * x))
+    low, high = (
+        np.where(np.arange(90) % 6 == at, side * np.inf, bent[:, end]) for at, side, end in ((1, -1, 0), (4, 1, 1))
+    )
+    theta = np.array([np.log(INTERVAL_S), -30.0, 0.0, -30.0, np.log(0.8), 0.0])
+    base = Base(theta, shocks=False, box=((-40.0, 40.0),) * 6)
+
+    told = densities([base, Nonlinearity(0.0, 0.0)], np.append(theta, bend), replace(data, low=low, high=high))
+
+    def straightened(end: float) -> float:
+        if np.isinf(end):
+            return end
+        return float(brentq(lambda one: one + bend * one**2 - end, -2.2, 2.2))  # on the branch that rises
+
+    probability = [
+        norm.cdf(straightened(b) / 0.8) - norm.cdf(straightened(a) / 0.8) for a, b in zip(low, high, strict=True)
+    ]
+    assert told == pytest.approx(np.log(probability), abs=1e-6)
 
 
 def with_supply(*, gain, level_V):
