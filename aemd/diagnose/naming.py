@@ -141,7 +141,9 @@ def _left_out(terms: Sequence[Term], theta: Floats, data: Data) -> float:
     The filter takes that noise by its variance R at the prediction. But a reading that the input's news u, of variance
     P, has lifted has more of it, R' u, so the innovation has the third moment 3 R' P, and by the first term of its
     Gram-Charlier series the likelihood gains c He3(z) - 3 c^2 with c = R' P/(2 S^(3/2)). A bent scale is skew in the
-    same way, and would be the name of this noise for nothing else.
+    same way, and would be the name of this noise for nothing else. News may be the meter's own noise as well, which
+    lifts no reading of the input: where the fast process of a base stands for that, all of it. So what share of the
+    news counts, from none to all, the readings say.
     """
     if not isinstance(terms[-1], SignalDependentNoise):
         return 0.0
@@ -150,7 +152,9 @@ def _left_out(terms: Sequence[Term], theta: Floats, data: Data) -> float:
     per_square, reading = exp(2 * float(theta[-1])), (fit.predicted + data.origin_V / data.unit_V)[used]
     news = np.maximum(fit.variance[used] - noise_var - per_square * reading**2, 0.0)
     c, z = per_square * reading * news / fit.variance[used] ** 1.5, fit.z[used]
-    return float(np.sum(c * (z**3 - 3 * z) - 3 * c**2))
+    along, size = float(np.sum(c * (z**3 - 3 * z))), float(np.sum(3 * c**2))
+    share = float(np.clip(along / max(2 * size, 1e-300), 0.0, 1.0))
+    return share * along - share**2 * size
 
 
 def _does_not_fit(before: Fit, after: Fit) -> str:

@@ -47,6 +47,16 @@ def test_the_skewness_that_the_filter_leaves_out_is_what_the_exact_density_gains
     assert owed == pytest.approx(float(np.sum(exact - plain)), rel=0.2)
 
 
+def test_news_that_lift_no_reading_take_nothing_from_the_name():
+    """The same spread without skewness, as of a meter's own noise that the base's fast process stands for."""
+    data, base = white_plant()
+    even = norm.ppf(np.random.default_rng(42).permutation(np.arange(1, N + 1) / (N + 1)))
+    data = replace(data, y=(1.0 + np.hypot(NEWS_V, GAIN) * even - data.origin_V) / data.unit_V)
+    term = SignalDependentNoise(GAIN, 0.0)
+
+    assert 0 <= _left_out([base, term], np.concatenate((base.start, term.start)), data) < 1
+
+
 def test_of_other_names_nothing_is_left_out():
     data, base = white_plant()
     term = Nonlinearity(0.01, 0.0)
