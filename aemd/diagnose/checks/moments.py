@@ -27,6 +27,12 @@ Outcome = tuple[Evidence, Callable[[], list[Term]]]
 """Evidence, and what makes the terms that could explain it."""
 
 _LEVERAGE = 20.0
+_LIMIT = 16.0
+"""Of a squared residual, where a stretch of others is sought."""
+_EDGES = 150
+"""Places that begin and end are tried at before they are refined."""
+_LEAST = 20
+"""Readings within such a stretch, and beside it."""
 _LEAST_LEFT = 0.05
 """Of the base's white noise, beside a noise that grows with the reading."""
 _WORTH_A_FIT = 0.01
@@ -72,7 +78,8 @@ def _gains(fit: Fit) -> list[Term]:
 def _changing_noise(fit: Fit) -> Outcome:
     """Sum z^2 - 1 along the record: the range of that walk is that of a Brownian bridge if the variance stays.
 
-    The range and not the largest excursion, so that noise that comes and goes counts as much as noise that stays.
+    The range and not the largest excursion, so that noise that comes and goes counts as much as noise that stays. The
+    walk's ends are not quite the likeliest instants, least where one is near an end of the record: both are tried.
     """
     used = fit.data.used
     squares = fit.z[used] ** 2
@@ -82,19 +89,8 @@ def _changing_noise(fit: Fit) -> Outcome:
     range_ = float(walk[high] - walk[low])
 
     def terms() -> list[Term]:
-        inside = float(squares[begin:end].mean())
-        outside = float(np.concatenate((squares[:begin], squares[end:], [1.0])).mean())
-        t_s = np.append(fit.data.t_s[used], fit.data.span_s)
-        cost = amplitude_cost(1, fit.data.n) + 2 * log(fit.data.n / max(end - begin, 1) + 1)
-        # What is measured is all of the innovation; the white noise in it has to change by more.
-        share = float(np.median(fit.variance[used])) / fit.white**2
-        wanted = max(1 + (inside / outside - 1) * share, 0.05)
-        window = float(t_s[begin]), float(t_s[end])
-        return [
-            ChangingNoise(*window, sqrt(wanted), cost),
-            ChangingNoise(*window, sqrt(max(inside / outside, 0.05)), cost, everything=True),
-            SwellingNoise((window[0] + window[1]) / 2, (window[1] - window[0]) / 3, sqrt(wanted), cost),
-        ]
+        windows = dict.fromkeys(((begin, end), likeliest_window(squares)))
+        return [term for window in windows for term in _louder(fit, squares, *window)]
 
     evidence = Evidence(
         check="range of the summed squares of the residuals, in units of a Brownian bridge",
@@ -104,6 +100,54 @@ def _changing_noise(fit: Fit) -> Outcome:
         high=1.86,
     )
     return evidence, terms
+
+
+def likeliest_window(squares: Floats) -> tuple[int, int]:
+    """Return begin and end of the stretch whose mean square differs most from the rest's by the normal likelihood.
+
+    Args:
+        squares: of residuals, shape (n,); large ones are limited, as they are a matter of tails.
+    """
+    n = squares.size
+    total = np.concatenate(([0.0], np.cumsum(np.minimum(squares, _LIMIT))))
+
+    def worth(begin: NDArray[np.int64], end: NDArray[np.int64]) -> Floats:
+        inside = end - begin
+        sums = total[end] - total[begin], total[n] - total[end] + total[begin]
+        counts = inside, n - inside
+        nats = [
+            -0.5 * m * np.log(np.maximum(part, 1e-9) / np.maximum(m, 1)) for part, m in zip(sums, counts, strict=True)
+        ]
+        return np.asarray(np.where(np.minimum(*counts) >= _LEAST, nats[0] + nats[1], -np.inf))
+
+    edges = np.unique(np.linspace(0, n, _EDGES).astype(np.int64))
+    first, second = np.triu_indices(edges.size, 1)
+    best = int(np.argmax(worth(edges[first], edges[second])))
+    begin, end = int(edges[first[best]]), int(edges[second[best]])
+    near = np.arange(-(n // _EDGES) - 1, n // _EDGES + 2)
+    for _ in range(2):  # an end of the record stays one
+        begins = np.clip(begin + near, 0, end) if begin else np.zeros(1, np.int64)
+        begin = int(begins[np.argmax(worth(begins, np.full(begins.size, end)))])
+        ends = np.clip(end + near, begin, n) if end < n else np.full(1, n)
+        end = int(ends[np.argmax(worth(np.full(ends.size, begin), ends))])
+    return begin, end
+
+
+def _louder(fit: Fit, squares: Floats, begin: int, end: int) -> list[Term]:
+    """Return a noise that changes from one reading to another, and what else is louder or fainter there."""
+    inside = float(squares[begin:end].mean())
+    outside = float(np.concatenate((squares[:begin], squares[end:], [1.0])).mean())
+    t_s = np.append(fit.data.t_s[fit.data.used], fit.data.span_s)
+    cost = amplitude_cost(1, fit.data.n) + 2 * log(fit.data.n / max(end - begin, 1) + 1)
+    # What is measured is all of the innovation; the white noise in it has to change by more.
+    share = float(np.median(fit.variance[fit.data.used])) / fit.white**2
+    wanted = max(1 + (inside / outside - 1) * share, 0.05)
+    window = float(t_s[begin]), float(t_s[end])
+    return [
+        ChangingNoise(*window, sqrt(wanted), cost),
+        ChangingNoise(*window, sqrt(max(inside / outside, 0.05)), cost, everything=True),
+        SwellingNoise((window[0] + window[1]) / 2, (window[1] - window[0]) / 3, sqrt(wanted), cost),
+    ]
 
 
 def _tails(fit: Fit) -> Outcome:
