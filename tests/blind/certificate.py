@@ -12,20 +12,23 @@ any instant can imitate the effect, as they can a step. Kind of D by cause, in K
 
     mean         deterministic, given the draws (phases, temperature, the readings it bends): as above; of what rings
                  after shocks, less what it costs not to know when within an interval each came, which is the wave's
-                 phase; of a bent scale, more by what its slope does to the density
+                 phase; of a bent scale, more by what its slope does to the density, and of a range's offset by the
+                 hole that it leaves between ranges, or what they share
     covariance   Gaussian: as above; where the noise changes, segment by segment
     path         telegraph noise: the mean's D of the path as drawn, less what the path itself costs who does not know
-                 it, ln(stay/interval) + 1 for each jump (a lower bound)
+                 it, by a filter of all paths (a cost for each jump, as if its instant had to be found exactly, made
+                 small jumps seem unseen that together are plain)
     innovation   noise that is not Gaussian or not stationary: as if innovations were independent, with their variance;
-                 of heavy tails, against a plant whose shocks fade within a reading, which imitates them well; of the
-                 shocks' signs, as far as a reading tells that it was struck and by what; of noise that grows with the
-                 reading, given the readings as drawn
+                 of the shocks' signs, as far as a reading tells that it was struck and by what; of noise that grows
+                 with the reading, given the readings as drawn; of heavy tails no mean, which a few large readings
+                 carry, but the D at which a Gaussian ratio is found as often, with the plant's own shocks, whose one
+                 law cannot be that of the tails as well (see tails.py)
     counted      nothing is refitted: the effect is seen by counting, and a size is drawn instead of a D
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import exp, log, sqrt
+from math import exp, log, pi, sqrt
 
 import numpy as np
 from scipy.optimize import brentq
@@ -44,9 +47,11 @@ from tests.blind.gaussian import (
 from tests.blind.injector import AT_INPUT, calm, template
 from tests.blind.innovations import innovation_kl, louder_kl
 from tests.blind.instants import cost_of_instants, ringing
+from tests.blind.jumps import path_cost
 from tests.blind.plant import Effect, Plant, Run, make_world, supply
+from tests.blind.tails import tails_nats
 
-__all__ = ["EXTENDED", "KINDS", "LEVEL", "clairvoyant_d95", "d_nats", "size_for", "unit_template"]
+__all__ = ["EXTENDED", "KINDS", "LEVEL", "clairvoyant_d95", "d_nats", "edge_of_range", "size_for", "unit_template"]
 
 LEVEL = 0.003 / 33
 """False-alarm rate of one mechanism, if 0.3 % is shared by 33 of them."""
@@ -89,6 +94,8 @@ def d_nats(run: Run, effect: Effect, shown: "Shown | None" = None) -> float:
         return float("nan")
     if effect.cause == "signal_dependent_noise":
         return louder_kl(run, effect)
+    if effect.cause == "heavy_tails":
+        return tails_nats(run, effect, LEVEL / 2)
     if kind == "innovation":
         return n * innovation_kl(plant, effect, len(make_world(run).shocks))
     clean_s = spectrum(theta, plant)
@@ -97,7 +104,8 @@ def d_nats(run: Run, effect: Effect, shown: "Shown | None" = None) -> float:
         known = refit(theta, plant, [(1.0, clean_s)], effect.size * shown.unit, shown.beside)
         if shown.instants is not None:
             known -= cost_of_instants(*shown.instants, effect.size)
-        return known + effect.size**2 * shown.slope - (path_cost(shown.unit, effect, plant) if kind == "path" else 0.0)
+        known += effect.size**2 * shown.slope + effect.size * shown.edge
+        return known - (path_cost(shown.unit, effect, plant, shown.beside) if kind == "path" else 0.0)
     if effect.cause == "changing_noise":
         part = effect.shape["end"] - effect.shape["begin"]
         changed_s = clean_s + (effect.size**2 - 1) * plant.white_sd_V**2
@@ -167,7 +175,7 @@ LOOKS = {  # (looks, whether it has two quadratures); from 1000 on in thousandth
     "ring_down": (500.0, True),
     "thermal_drift": (10.0, False),
     "latency": (10.0, False),
-    "range_switching": (20.0, False),
+    "range_switching": (1e3, False),  # the threshold may lie between any two readings
     "supply_coupling": (2.0, False),
     "warmup_drift": (10.0, False),
     "changing_noise": (50.0, False),
@@ -183,6 +191,8 @@ class Shown:
     beside: Disturbances
     slope: float = 0.0
     """Nats of a unit's square beside the mean's: of a bent scale, see `show`."""
+    edge: float = 0.0
+    """Nats of a unit beside these: of a wider range's offset, see `edge_of_range`."""
     instants: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
     """Of what follows shocks whose instants nobody knows; see `ringing` of instants.py."""
 
@@ -197,6 +207,8 @@ def show(run: Run, effect: Effect) -> Shown:
     unit, beside = unit_template(run, effect), disturbances(run)
     if effect.cause == "nonlinearity":
         return Shown(unit, beside, slope=2 * float(np.sum(squared_deviation(run))))
+    if effect.cause == "range_switching":
+        return Shown(unit, beside, edge=edge_of_range(run, effect))
     if effect.cause == "ring_down":
         return Shown(unit, beside, instants=ringing(run, effect, beside))
     return Shown(unit, beside)
@@ -205,6 +217,24 @@ def show(run: Run, effect: Effect) -> Shown:
 def squared_deviation(run: Run) -> np.ndarray:
     value = calm(run)
     return (value - value.mean()) ** 2
+
+
+def edge_of_range(run: Run, effect: Effect) -> float:
+    """Return the nats that a volt of the wider range's offset shows where the ranges meet.
+
+    Which reading is offset depends on the reading itself: of the log ratio y'C^-1 m + m'C^-1 m/2 the first part's mean
+    is no more 0 but the sum of dm/dy (Stein's lemma), which is the offset times the density of readings at the
+    threshold. An offset away from the other range leaves a hole there, where so many readings are missing, and one
+    towards it a part that both share: so many less for the mean, but the density there is twice the plant's, which is
+    ln 2 for each of twice as many. The density is that of the readings as drawn, smoothed a little.
+    """
+    value, width_V = calm(run), run.plant.white_sd_V / 5
+    threshold_V = float(np.quantile(np.abs(value), effect.shape["part"]))
+    away, towards = (
+        float(np.sum(np.exp(-(((sign * value - threshold_V) / width_V) ** 2) / 2)) / (width_V * sqrt(2 * pi)))
+        for sign in (1, -1)
+    )
+    return away + (2 * log(2) - 1) * towards
 
 
 def unit_template(run: Run, effect: Effect) -> np.ndarray:
@@ -229,11 +259,6 @@ def with_resonance(s: np.ndarray, effect: Effect, plant: Plant) -> np.ndarray:
     seen = np.sinc(f * plant.inside * plant.step_s) ** 2
     both = markov_spectrum(keep, turns(plant) - turn) + markov_spectrum(keep, turns(plant) + turn)
     return s + effect.size**2 * seen * both / 2
-
-
-def path_cost(path: np.ndarray, effect: Effect, plant: Plant) -> float:
-    jumps = np.count_nonzero(np.diff(path > 0.5))
-    return jumps * (1 + log(effect.shape["dwell_s"] / plant.interval_s))
 
 
 EXTENDED: dict[str, Callable[[np.ndarray, Effect, Plant], np.ndarray]] = {

@@ -4,11 +4,8 @@ from dataclasses import replace
 from math import exp, sqrt
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.signal import fftconvolve
 from scipy.special import erf
 from scipy.stats import norm
-from scipy.stats import t as student
 
 from tests.blind.gaussian import numbers, spectrum
 from tests.blind.injector import calm
@@ -50,20 +47,6 @@ def uneven_kl(plant: Plant, bias: float, struck: float, sd: float) -> float:
 
 
 def innovation_kl(plant: Plant, effect: Effect, shocks: int) -> float:
-    """Return nats per reading of noise that is not Gaussian, or not of one variance."""
+    """Return nats per reading of shocks whose signs are uneven."""
     variance = exp(float(np.mean(np.log(spectrum(numbers(plant), plant)))))  # of one innovation (Kolmogorov)
-    if effect.cause == "shock_law":
-        return uneven_kl(plant, effect.size, shocks / plant.n, sqrt(variance))
-    share = effect.size * plant.white_sd_V**2 / variance  # heavy_tails; in units of the innovation's sd
-    grid = np.linspace(-25, 25, 20_001)
-    scale = sqrt(share / 3)
-    jump = student.pdf(grid / scale, 3) / scale
-    core = norm.pdf(grid, scale=sqrt(max(1 - share, 1e-4)))
-    density = np.maximum(fftconvolve(jump, core, mode="same") * (grid[1] - grid[0]), 1e-300)
-
-    def loss(best: np.ndarray) -> float:  # of the clean plant with shocks that fade within a reading
-        struck, narrow, wide = 1 / (1 + exp(-best[0])), exp(best[1]), exp(best[1]) + exp(best[2])
-        clean = (1 - struck) * norm.pdf(grid, scale=narrow) + struck * norm.pdf(grid, scale=wide)
-        return float(np.sum(density * (np.log(density) - np.log(np.maximum(clean, 1e-300)))) * (grid[1] - grid[0]))
-
-    return min(minimize(loss, start, method="Nelder-Mead").fun for start in ([-4.0, -0.2, 1.0], [-2.0, -0.3, 0.5]))
+    return uneven_kl(plant, effect.size, shocks / plant.n, sqrt(variance))

@@ -22,7 +22,7 @@ from math import exp, log
 import numpy as np
 from scipy.optimize import minimize
 
-from tests.blind.certificate import EXTENDED, KINDS, d_nats, unit_template
+from tests.blind.certificate import EXTENDED, KINDS, d_nats, edge_of_range, unit_template
 from tests.blind.gaussian import numbers, spectrum, whiten
 from tests.blind.injector import calm, thermal
 from tests.blind.plant import Effect, Plant, Run, make_world, supply, thermometer
@@ -65,6 +65,8 @@ def mean_rivals(run: Run, effect: Effect) -> Iterator[tuple[float, str]]:
     if effect.cause == "supply_coupling":  # it scales the noise as well, which nothing in the mean does
         apart = effect.size * supply(make_world(run))
         louder = float(np.sum((apart - apart.mean()) ** 2))
+    if effect.cause == "range_switching":  # it leaves a hole between two ranges, or a part that they share
+        louder = effect.size * edge_of_range(run, effect)
     for name, columns in shapes(run, effect, shown):
         taken = np.linalg.qr(np.column_stack([level, *(whitened(column) for column in columns)]))[0]
         yield float(np.sum((seen - taken @ (taken.T @ seen)) ** 2) / 2) + louder, name

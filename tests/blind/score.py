@@ -350,14 +350,23 @@ def true_parameters(effect: Effect, run: Run) -> dict[str, float]:
     return truth
 
 
-NEEDY = ("thermal_drift", "latency", "supply_coupling", "clock_error", "ring_down", "shock_law", "popcorn_noise")
+NEEDY = (
+    "thermal_drift",
+    "latency",
+    "supply_coupling",
+    "clock_error",
+    "ring_down",
+    "shock_law",
+    "popcorn_noise",
+    "heavy_tails",
+)
 
 
 def leak(pairs: Sequence[Pair]) -> dict[str, float]:
     """Return how well what surrounds the readings tells clean files from others: areas under the curve, 0.5 is chance.
 
-    Of what is drawn as the clean ones are; mechanisms that need a thermometer or a format are left out, as those are
-    drawn again until there is one.
+    Of what is drawn as the clean ones are; mechanisms that need a thermometer, a format, shocks, or a long record, as
+    tails and the shocks' signs do, are left out, as those are drawn again until there is one.
     """
     mixed = [pair for pair in pairs if pair.envelope.group != "gain" and not {*pair.causes} & {*NEEDY}]
     hidden = np.array([bool(pair.causes) for pair in mixed if pair.envelope.group != "provocative"])

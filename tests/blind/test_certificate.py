@@ -1,16 +1,19 @@
 """The certificates of a changed mean: what shocks and losses take of it, against the dense covariance."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 
-from tests.blind.certificate import d_nats
+from tests.blind.certificate import d_nats, edge_of_range
 from tests.blind.gaussian import disturbances, energy, numbers
-from tests.blind.injector import template
+from tests.blind.injector import calm, template
 from tests.blind.instants import cost_of_instants, ringing, wave
+from tests.blind.jumps import two_levels
 from tests.blind.made import USUAL
 from tests.blind.plant import Effect, Run, add_shock, make_world
+from tests.blind.tails import GRID, Law, tails_laws, tails_nats
 
 PLANT = replace(USUAL, n=300)
 
@@ -90,3 +93,81 @@ def test_who_does_not_know_when_shocks_came_knows_less_of_a_fast_wave_after_them
     assert cost_of_instants(own, np.tile(own[:, None], 8), np.tile(own[:, None], 8), 0.1) == pytest.approx(0, abs=1e-9)
     costs = [cost_of_instants(*ringing(run, effect, beside), 0.1) for effect in (slow, fast)]
     assert 0 < costs[0] < costs[1] < 0.1**2 * own.sum() / 2
+
+
+WHITE = replace(PLANT, n=2000, signal_sd_V=1e-9, drift_rate_V_per_rt_s=1e-12)
+
+
+@pytest.mark.parametrize("d", [1.5, 12.0, 24.0])
+def test_of_a_gaussian_ratio_the_d_that_is_found_as_often_is_its_own(d):
+    """A shift by a of each of n normal readings x has the ratio a x - a^2/2, and a D of n a^2/2."""
+    shift = np.sqrt(2 * d / 5000)
+    share = np.exp(-((GRID - shift) ** 2) / 2) * np.gradient(GRID)
+    law = Law(shift * GRID - shift**2 / 2, share / share.sum(), 5000, 0.0)
+
+    assert law.nats(1e-4) == pytest.approx(d, rel=0.03)
+
+
+def test_the_laws_of_tails_and_of_what_imitates_them_are_both_laws():
+    """Where both densities are whole, the mean of one over the other is 1."""
+    shaken = replace(WHITE, n=9000, shocks_per_s=0.05, shock_sd_V=20 * WHITE.white_sd_V, shock_decay_s=0.3)
+    calm, shaken, effect = Run(replace(WHITE, n=9000), 4), Run(shaken, 4), Effect("heavy_tails", 0.5)
+
+    for law in (*tails_laws(calm, effect), *tails_laws(shaken, effect)):
+        assert law.share @ np.exp(-law.each) == pytest.approx(1, abs=2e-3)
+    # one law of shocks cannot be both
+    assert tails_nats(shaken, effect, 1e-4) > 2 * tails_nats(calm, effect, 1e-4)
+
+
+def test_all_paths_of_two_levels_together_are_as_likely_as_their_sum():
+    n, size, jump = 7, 1.3, 0.15
+    theta, rng = numbers(PLANT), np.random.default_rng(8)
+    lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) * PLANT.interval_s
+    covariance = np.exp(theta[0] - lag / np.exp(theta[1])) + np.exp(theta[2] - lag / np.exp(theta[3]))
+    inverse = np.linalg.inv(covariance + np.exp(theta[4]) * np.eye(n))
+    size *= np.sqrt(covariance[0, 0])
+    levels = np.array([0, 0, 0, 1, 1, 0, 0])
+    y = size * levels + np.sqrt(covariance[0, 0]) * rng.standard_normal(n)
+
+    def nats(path):
+        left = y - size * np.array(path)
+        return -left @ inverse @ left / 2
+
+    jumps = {path: np.count_nonzero(np.diff(path)) for path in product((0, 1), repeat=n)}
+    total = sum(0.5 * jump**k * (1 - jump) ** (n - 1 - k) * np.exp(nats(path)) for path, k in jumps.items())
+    keeps = np.append(np.exp(-PLANT.interval_s / np.exp(theta[[1, 3]])), 0.0)
+    calm = np.zeros(n)
+    of_path, of_all = two_levels(y, levels, size, jump, keeps, np.exp(theta[[0, 2, 4]]), np.ones(n, bool), calm, calm)
+
+    assert of_path == pytest.approx(nats(levels), rel=1e-9)
+    assert of_all == pytest.approx(np.log(total), abs=0.05)
+
+
+def test_an_offset_of_the_wider_range_leaves_a_hole_that_counts():
+    """Of white readings the log ratio is known for each record; its mean has the hole beside the offset's energy."""
+    plant = replace(WHITE, level_V=3 * WHITE.white_sd_V)
+    sd, size, effect = plant.white_sd_V, 0.1 * plant.white_sd_V, Effect("range_switching", 1.0, {"part": 0.6})
+    told, expected = [], []
+    for seed in range(12):
+        run = Run(plant, seed)
+        value = calm(run)
+        wide = np.abs(value) >= np.quantile(np.abs(value), 0.6)
+        x = value - plant.level_V
+        told.append(float(np.sum((x + size * wide) ** 2 - x**2)) / (2 * sd**2))
+        expected.append(size * edge_of_range(run, effect) + size**2 * np.count_nonzero(wide) / (2 * sd**2))
+
+    assert np.mean(told) == pytest.approx(np.mean(expected), rel=0.08)
+    assert size * edge_of_range(run, effect) > 0.9 * np.mean(told)
+
+
+def test_an_offset_towards_the_other_range_is_shared_ground_and_tells_less():
+    away, towards = (
+        edge_of_range(
+            Run(replace(WHITE, level_V=sign * 8 * WHITE.white_sd_V), 3), Effect("range_switching", 1.0, {"part": 0.6})
+        )
+        for sign in (1, -1)
+    )
+
+    density = WHITE.n * 0.3863 / WHITE.white_sd_V  # of a normal law at its quantile of 0.6
+    assert away == pytest.approx(density, rel=0.15)
+    assert towards == pytest.approx((2 * np.log(2) - 1) * density, rel=0.15)
