@@ -47,7 +47,7 @@ _BLOCKS = 20
 _BLOCK = 500  # readings: the gaps between blocks show what is slow, the readings within what is not
 _FIRST_STEPS = 6  # on those, of each start of a race of many
 _LAST_STEPS = 8  # over all readings after them, each some dozen passes of the filter
-_FEW, _FEW_LONG = 8, 5  # steps from a maximum to that of half the record
+_FEW, _FEW_LONG = 8, 2  # steps from a maximum to that of half the record; of a long one that is near
 _LED_PATIENCE = 2  # steps over all of what has hope after them
 _STILL_TO_COME = 3.0  # times its last step's gain that a start is given credit for; steps gain less and less
 

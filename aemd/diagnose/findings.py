@@ -44,6 +44,8 @@ _BROAD = (
     "shock_law",
     "ring_down",
     "warmup_drift",
+    "heavy_tails",
+    "range_switching",
 )
 """Mechanisms that many a shape passes for."""
 _OUTSIDE = {

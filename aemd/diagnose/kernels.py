@@ -159,7 +159,7 @@ def _cut(a: float, b: float, inside: float) -> tuple[float, float]:
     return mean, min(max(1.0 + bend / inside - mean * mean, 0.0), 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp", "nsz"})
 def _filter(
     y: Floats,
     used: NDArray[np.bool_],

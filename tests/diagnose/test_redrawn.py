@@ -54,6 +54,18 @@ def test_of_a_check_whose_law_is_right_no_digit_of_the_p_value_changes():
     assert Redrawn(fitted()).corrected(found, scored(1.0)) == found
 
 
+def test_a_law_that_is_sure_of_far_less_than_it_might_be_is_left_alone_after_two_draws():
+    """Each may cost seconds; of a right law two draws are as little surprised in one case of fifty."""
+    found, asked = Evidence("score", erfc(5 / sqrt(2)), 5.0, -2.0, 2.0), list[Fit]()
+
+    def hardly(fit: Fit) -> list[Evidence]:
+        asked.append(fit)
+        return [replace(found, p_value=0.99)]
+
+    assert Redrawn(fitted()).corrected(found, hardly) == found
+    assert len(asked) == 2
+
+
 @pytest.mark.parametrize("count", [4, 32])
 def test_what_one_more_draw_exceeds_has_the_probability_that_is_said_of_it(count):
     rng = np.random.default_rng(1)
