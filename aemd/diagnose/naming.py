@@ -2,9 +2,8 @@
 
 Every candidate is refitted together with all that is already in the model. Its evidence is Laplace's: the
 log-likelihood it adds less what its freedom costs, half log n for an amplitude (a prior as wide as one reading's
-information allows)
-and the logarithm of the number of places it could have been for a location (frequency, instant, time constant). Equal
-prior odds, except where a term states others.
+information allows) and the logarithm of the number of places it could have been for a location (frequency, instant,
+time constant). Equal prior odds, except where a term states others.
 
 The best of the catalogue may still be the wrong name of what the catalogue does not have. A name is refused where a
 rival from outside explains more, and where a mechanism that acts all the time explains what happened once; so what
@@ -73,7 +72,6 @@ class Named:
     term: Term
     names: tuple[str, ...]
     probability: float
-    log_likelihood_gain: float
     refused: str = ""
     """Why the names are not to be claimed, in words that follow the first of them; empty where they are."""
 
@@ -114,8 +112,7 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
         fitted.setdefault(one.terms[-1].cause, one)
     ranked = list(fitted.values())
     best = ranked[0]
-    gain = best.value - fit.log_likelihood
-    if gain < least_nats:
+    if best.value - fit.log_likelihood < least_nats:
         return None
     weights = [exp(max(one.worth - best.worth, -700.0)) for one in ranked]
     names, mass = list[str](), 0.0
@@ -132,7 +129,7 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
         names = [next((cause for cause in causes if cause != "unexplained"), "nothing of the catalogue")]
     else:
         refused = _does_not_fit(fit, winner)
-    return Named(winner, best.terms[-1], tuple(names), weights[0] / sum(weights), gain, refused)
+    return Named(winner, best.terms[-1], tuple(names), weights[0] / sum(weights), refused)
 
 
 def _left_out(terms: Sequence[Term], theta: Floats, data: Data) -> float:

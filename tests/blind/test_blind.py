@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import lfilter
 
 from aemd.diagnose import COVERED, diagnose
-from aemd.diagnose.checks.residuals import check_all
+from aemd.diagnose.checks.residuals import check_each
 from aemd.diagnose.fit import fit_base
 from aemd.diagnose.hypothesis import make_data
 from aemd.diagnose.series import Series
@@ -198,7 +198,7 @@ def test_every_check_has_something_hidden_that_needs_it():
         interval_s=plant.interval_s,
         witnesses={name: column for name, (_, column) in record.witnesses.items()},
     )
-    ran = [evidence.check for evidence in check_all(fit_base(make_data(series)), None)]
+    ran = [evidence.check for evidence, _ in check_each(fit_base(make_data(series)), None)]
     known = [check for checks in CHECKS.values() for check in checks] + [*STATED, *ELSEWHERE, *RANGES.values()]
     words = {word for _, word in NAMELESS}
 

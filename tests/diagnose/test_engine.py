@@ -135,7 +135,7 @@ def finding_of(cause, gain, parameters=None):
 
 
 def named():
-    return Named(None, Resonance(5.0, 0.5, 2.0, 1e-3, 0.0), ("resonance",), 1.0, 12.0)
+    return Named(None, Resonance(5.0, 0.5, 2.0, 1e-3, 0.0), ("resonance",), 1.0)
 
 
 def test_a_lattice_on_which_most_readings_repeat_the_last_is_named():

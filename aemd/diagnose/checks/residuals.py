@@ -20,20 +20,16 @@ from aemd.diagnose.checks.witnessed import check_witness
 from aemd.diagnose.evidence import Evidence
 from aemd.diagnose.fit import Fit
 
-__all__ = ["Check", "check_all", "check_each"]
+__all__ = ["Check", "check_each"]
 
 Check = Callable[[Fit], list[Evidence]]
 
 _CERTAIN = 1e-12
-
-
-def check_all(fit: Fit, line_frequency_hz: float | None) -> list[Evidence]:
-    """Return the evidence of every check, significant or not."""
-    return [item for item, _ in check_each(fit, line_frequency_hz)]
+"""p of a line or a band that is there beyond all doubt."""
 
 
 def check_each(fit: Fit, line_frequency_hz: float | None) -> list[tuple[Evidence, Check]]:
-    """Return the evidence of every check, and with each the check, to be run on another fit."""
+    """Return the evidence of every check, significant or not, and with each the check, to be run on another fit."""
 
     def lines(fit: Fit) -> list[Evidence]:
         return [check_lines(fit, make_periodogram(fit), line_frequency_hz)]
