@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from aemd.diagnose.drifts import drifts, is_slow
 from aemd.diagnose.fit import Fit, climb
 from aemd.diagnose.hypothesis import Parameter
+from aemd.diagnose.instants import rings
 from aemd.diagnose.mixture import Weighed, slopes_of
 from aemd.diagnose.result import Value
 from aemd.diagnose.settled import Held, information_at, likelihood_at
@@ -34,9 +35,10 @@ _TAIL = 0.025
 _SOUGHT = (1.0, 4.0)
 """Nats below the bound's between which the likelihood is looked at to tell its slope and its bend."""
 _TRIES = 5
-_PROFILED = ("smoothing", "warmup_drift", "thermal_drift")
+_PROFILED = ("smoothing", "warmup_drift", "thermal_drift", "popcorn_noise")
 """What another process of the base can pass for, by a change of places, and what decays: on their logarithms' scale
-the likelihood is no parabola."""
+the likelihood is no parabola. And that of a level that jumps, whose histories the filter merges, is often flatter than
+the readings' scores would have it."""
 _CLIMB = 3
 """Steps of what is beside a number that is held."""
 _FALLEN = 1.96**2 / 2
@@ -73,6 +75,9 @@ def describe(fit: Fit, number: int, spread: Floats) -> Mapping[str, Value]:
         number: of the term.
         spread: covariance of all free numbers.
     """
+    rung = _rung(fit, number, spread)
+    if rung is not None:
+        return rung
     begin = sum(term.start.size for term in fit.terms[:number])
     term, theta = fit.terms[number], fit.parts_of(number)
     own = spread[begin : begin + theta.size, begin : begin + theta.size]
@@ -83,6 +88,18 @@ def describe(fit: Fit, number: int, spread: Floats) -> Mapping[str, Value]:
         parameter.name: _within_limits(parameter, _interval(parameter, fit, number, own, ends, mixed))
         for parameter in term.parameters(fit.data)
     }
+
+
+def _rung(fit: Fit, number: int, spread: Floats) -> dict[str, Value] | None:
+    """Return what is told of a wave after shocks at unknown instants: the middles of draws, and their ends."""
+    drawn = rings(fit, number, spread)
+    if drawn is None:
+        return None
+    told = {}
+    for parameter in fit.terms[number].parameters(fit.data):
+        low, middle, high = np.quantile(drawn[parameter.name], (_TAIL, 0.5, 1 - _TAIL))
+        told[parameter.name] = Value(float(middle), float(low), float(high), parameter.unit)
+    return told
 
 
 def _interval(parameter: Parameter, fit: Fit, number: int, own: Floats, ends: Floats, mixed: Weighed | None) -> Value:
