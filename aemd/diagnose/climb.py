@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aemd.diagnose.hypothesis import Data, Parts, Seen, Term
+from aemd.diagnose.hypothesis import Base, Data, Parts, Seen, Term
 from aemd.diagnose.kernels import log_densities, telegraph_densities
 
 __all__ = [
@@ -47,6 +47,8 @@ _BLOCKS = 20
 _BLOCK = 500  # readings: the gaps between blocks show what is slow, the readings within what is not
 _FIRST_STEPS = 6  # on those, of each start of a race of many
 _LAST_STEPS = 8  # over all readings after them, each some dozen passes of the filter
+_FROM_BEFORE = ("ring_down", "thermal_drift", "latency")  # terms that add to the mean what other readings decide
+_OF_ALL = ("supply_coupling", "range_switching", "smoothing")  # terms that do more than that with them
 _FEW, _FEW_LONG = 8, 2  # steps from a maximum to that of half the record; of a long one that is near
 _LED_PATIENCE = 2  # steps over all of what has hope after them
 _STILL_TO_COME = 3.0  # times its last step's gain that a start is given credit for; steps gain less and less
@@ -61,14 +63,28 @@ def split(terms: Sequence[Term], theta: Floats) -> list[Floats]:
     return [*parts, theta[at:]]
 
 
-def assemble(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[Seen, Parts, tuple[Any, ...]]:
+def assemble(
+    terms: Sequence[Term], theta: Floats, data: Data, whole: Data | None = None
+) -> tuple[Seen, Parts, tuple[Any, ...]]:
     """Return what stands for the readings, the parts, and the filter's arguments beside the readings and their steps.
 
     What was done to the readings last is undone first: a smoothing, then what a stated model has beside it.
+
+    Args:
+        terms: the hypothesis.
+        theta: its free numbers.
+        data: the readings; or those of a sample alone, and
+        whole: what they are a sample of, which some terms follow from reading to reading.
     """
     parts = Parts(np.zeros(data.y.size), np.zeros(data.y.size), np.ones(data.y.size))
     for term, numbers in zip(terms, split(terms, theta), strict=True):
-        term.add(numbers, data, parts)
+        if whole is not None and term.cause in _FROM_BEFORE:
+            size = whole.y.size
+            alone = Parts(np.zeros(size), np.zeros(size), np.ones(size))
+            term.add(numbers, whole, alone)
+            parts.mean += alone.mean[whole.sample]
+        else:
+            term.add(numbers, data, parts)
     states = np.array(parts.states, np.float64).reshape(-1, 6)  # of white noise alone there is none
     seen = sharpened(data, parts.kept)
     if parts.kept > 0:
@@ -125,7 +141,11 @@ def score_log_likelihood(terms: Sequence[Term], theta: Floats, data: Data) -> fl
 
 def densities(terms: Sequence[Term], theta: Floats, data: Data) -> Floats:
     """Return the log density of each scaled reading, shape (n,)."""
-    seen, parts, arguments = assemble(terms, theta, data)
+    if data.thinned is not None and _can_be_thinned(terms):
+        seen, parts, arguments = assemble(terms, theta, data.thinned, data)
+        data = data.thinned
+    else:
+        seen, parts, arguments = assemble(terms, theta, data)
     used, step_s, slope = data.used, data.step_s, seen.log_slope
     if data.sample is not None:
         seen, used, step_s, slope, arguments = _at(data.sample, seen, data, arguments)
@@ -134,6 +154,11 @@ def densities(terms: Sequence[Term], theta: Floats, data: Data) -> Floats:
     else:
         each = telegraph_densities(parts.telegraph, seen.y, used, step_s, *arguments) + slope
     return each if np.isfinite(each).all() else np.full(each.size, -_IMPOSSIBLE)
+
+
+def _can_be_thinned(terms: Sequence[Term]) -> bool:
+    """Return whether each term does to a reading what it does, whatever others there are, or adds what they decide."""
+    return isinstance(terms[0], Base) and all(term.cause not in _OF_ALL for term in terms)
 
 
 def _at(sample: NDArray[np.int64], seen: Seen, data: Data, arguments: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -24,6 +24,7 @@ __all__ = [
     "Parts",
     "Seen",
     "Term",
+    "base_box",
     "base_start_with_shocks",
     "make_data",
     "signal_and_drift",
@@ -62,6 +63,8 @@ class Data:
     """Over which each reading is a mean; it matters to what is faster than the readings."""
     sample: NDArray[np.int64] | None = None
     """Places of the readings that the filter is run over, where these are not all; shape (m,)."""
+    thinned: "Data | None" = None
+    """Those readings alone; what is left out between them is time that passes."""
 
     @property
     def n(self) -> int:
@@ -80,20 +83,29 @@ class Data:
     def sampled(self, blocks: int, length: int) -> "Data":
         """Return the same with the filter run over so many blocks of readings only, even ones, the last at the end."""
         begins = np.linspace(0, self.y.size - length, blocks).astype(np.int64)
-        return replace(self, sample=(begins[:, None] + np.arange(length)).ravel())
+        places = (begins[:, None] + np.arange(length)).ravel()
+        return replace(self, sample=places, thinned=self._at(places))
 
     def first(self, count: int) -> "Data":
         """Return the first readings alone."""
+        return self._at(slice(count))
+
+    def _at(self, places: slice | NDArray[np.int64]) -> "Data":
+        t_s = self.t_s[places]
+        step_s = self.step_s[places]
+        if not isinstance(places, slice):
+            behind_gap = np.flatnonzero(np.diff(places) > 1) + 1
+            step_s[behind_gap] = t_s[behind_gap] - t_s[behind_gap - 1]
         return replace(
             self,
-            y=self.y[:count],
-            used=self.used[:count],
-            step_s=self.step_s[:count],
-            t_s=self.t_s[:count],
-            slot=self.slot[:count],
-            witnesses={name: values[:count] for name, values in self.witnesses.items()},
-            low=None if self.low is None else self.low[:count],
-            high=None if self.high is None else self.high[:count],
+            y=self.y[places],
+            used=self.used[places],
+            step_s=step_s,
+            t_s=t_s,
+            slot=self.slot[places],
+            witnesses={name: values[places] for name, values in self.witnesses.items()},
+            low=None if self.low is None else self.low[places],
+            high=None if self.high is None else self.high[places],
         )
 
 
@@ -143,16 +155,22 @@ class Seen:
 
 @dataclass(slots=True)
 class Parts:
-    """What the filter takes, while it is being put together."""
+    """What the filter takes, while it is being put together; see `kernels.log_densities` for its tables."""
 
     mean: Floats
+    """Deterministic part, shape (n,)."""
     noise_var: Floats
+    """Of the white noise, shape (n,)."""
     scale: Floats
-    averaged: float = 0.0
+    """Factor of the states in each reading, shape (n,)."""
+    averaged: Floats | float = 0.0
     """Of the noise's variance what apertures take off, which is no white noise: it stays where that changes."""
     states: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
+    """Kind, time constant, s, angular frequency, 1/s, rate, deviation to begin with, and weight in a reading."""
     shocks: Floats = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
+    """Rate, 1/s, variance, and the state that is struck; none below 0."""
     extras: Floats = field(default_factory=lambda: np.zeros(6))
+    """What a filter of Gaussian processes alone would not need: noise that grows, a bend, outliers, shocks' sign."""
     tails: list[tuple[float, float]] = field(default_factory=list)
     """Probability and added variance of each further noise that a reading may have instead of the usual one."""
     struck: list[float] = field(default_factory=list)
@@ -163,6 +181,11 @@ class Parts:
     """Takes off what a model says was done to the readings after all noise."""
     telegraph: Floats | None = None
     """Step, and mean stay below and above it, s, of a level that jumps between two values; it replaces the shocks."""
+
+    def average_out(self, variance: float) -> None:
+        """Add the white noise that the mean over apertures leaves beside a process at instants; it is negative."""
+        self.noise_var += variance
+        self.averaged = self.averaged + variance
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,8 +274,8 @@ class Base:
         """Put signal, drift, noise, level and shocks into the parts."""
         for tau, rate in ((exp(theta[0]), exp(theta[1])), (exp(theta[2]), exp(theta[3]))):
             parts.states.append((MARKOV, tau, 0.0, rate, rate * sqrt(tau / 2), 1.0))
-            parts.averaged += averaged_out(tau, rate, data.aperture_s)
-        parts.noise_var += parts.averaged + exp(2 * theta[4])
+            parts.average_out(averaged_out(tau, rate, data.aperture_s))
+        parts.noise_var += exp(2 * theta[4])
         parts.mean += theta[5]
         if self.shocks:
             parts.shocks = np.array([exp(theta[6]), exp(2 * theta[7]), float(len(parts.states))])
