@@ -20,8 +20,9 @@ __all__ = ["averaged_markov", "averaged_out", "averaged_pair", "struck_between"]
 _SMALL = 1e-2
 """Aperture in time constants below which the series is exact to 1e-9, and the closed form loses digits."""
 
-_LARGE = 100.0
-"""Apertures in time constants beyond which nothing of a process is left but its mean over a reading."""
+_LARGE = 30.0
+"""Aperture in time constants beyond which a process is white, but for a correlation of neighbours below 2 %; the two
+parts would grow beyond all digits, and cancel."""
 
 
 def averaged_markov(tau_s: float, rate: float, aperture_s: float) -> tuple[float, float]:
@@ -31,6 +32,8 @@ def averaged_markov(tau_s: float, rate: float, aperture_s: float) -> tuple[float
     (1.0, -1.0)
     """
     a = aperture_s / tau_s
+    if a > _LARGE:
+        return rate, rate**2 * tau_s * ((a - 1) / a**2 - 0.5)
     if a < _SMALL:
         larger, lost = 1 + a**2 / 12, 1 / 6 + a**2 / 120
     else:
@@ -59,7 +62,7 @@ def averaged_pair(tau_s: float, omega: float, sd: float, aperture_s: float) -> t
     """
     rate = complex(-1 / tau_s, omega) * aperture_s
     front = complex(1.0, -1 / (omega * tau_s))
-    apart = float((front * 2 * (np.cosh(rate) - 1) / rate**2).real)
+    apart = float((front * 2 * (np.cosh(rate) - 1) / rate**2).real) if -rate.real < _LARGE else 1.0
     within = float((front * 2 * (np.exp(rate) - 1 - rate) / rate**2).real)
     return sd * sqrt(max(apart, 0.0)), sd**2 * (within - apart)
 

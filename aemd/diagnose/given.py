@@ -154,7 +154,7 @@ class Given(Fixed):
                     parts.mean += term.start_V / unit * faded
                     begin = kept * sqrt(start_s[0] + aperture_s / 2)
                 parts.states.append((MARKOV, tau, 0.0, kept, begin, 1.0))
-                parts.noise_var += lost
+                parts.average_out(lost)
             case model.WhiteNoise():
                 there = (start_s >= term.start_s) & (start_s < term.start_s + term.duration_s)
                 parts.noise_var += there * (term.sd(aperture_s) / unit) ** 2
@@ -166,7 +166,7 @@ class Given(Fixed):
                 kept, lost = averaged_pair(tau, omega, sd / unit, aperture_s)
                 parts.states.append((PAIR, tau, omega, kept, kept, 1.0))
                 parts.states.append((PAIR_SECOND, tau, omega, kept, kept, 0.0))
-                parts.noise_var += lost
+                parts.average_out(lost)
             case model.FlickerNoise():
                 for process in term.processes:
                     self._process(process, data, parts, start_s)
@@ -237,4 +237,4 @@ class Given(Fixed):
                     zero = data.origin_V / unit
                     parts.mean = (parts.mean + zero) * gain - zero
                     parts.scale = parts.scale * gain
-                    parts.noise_var = parts.noise_var * gain**2
+                    parts.noise_var, parts.averaged = parts.noise_var * gain**2, parts.averaged * gain**2

@@ -128,6 +128,19 @@ def test_an_averaged_process_has_the_covariances_of_integrals_over_its_apertures
     assert kept**2 * tau_s / 2 + white == pytest.approx(same, rel=1e-4)
 
 
+@pytest.mark.parametrize("tau_s", [1.7e-3, 1.6e-3, 1e-4, 1e-6])
+def test_of_a_process_far_faster_than_its_apertures_the_variance_of_their_means_is_left(tau_s):
+    """sigma^2 2 (a - 1 + e^-a)/a^2, a = T/tau; of the two parts each may be larger by far, and no digits are lost."""
+    aperture_s, rate = 0.05, 1.7
+    kept, white = averaged_markov(tau_s, rate, aperture_s)
+    swung, beside = averaged_pair(tau_s, 1.5 / tau_s, 1.0, aperture_s)
+    a, u = aperture_s / tau_s, np.linspace(0, 25, 50_001)  # lags in time constants
+    swinging = np.trapezoid((a - u) * np.exp(-u) * (np.cos(1.5 * u) + np.sin(1.5 * u) / 1.5), u) * 2 / a**2
+
+    assert kept**2 * tau_s / 2 + white == pytest.approx(rate**2 * tau_s * (a - 1 + np.exp(-a)) / a**2, rel=1e-4)
+    assert swung**2 + beside == pytest.approx(swinging, rel=1e-4)
+
+
 def test_an_averaged_oscillator_has_the_variance_of_its_means():
     tau_s, omega, aperture_s = 1.6, 25.0, 0.05
     kept, white = averaged_pair(tau_s, omega, 1.0, aperture_s)

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from aemd.diagnose.climb import assemble
+from aemd.diagnose.given import Given
 from aemd.diagnose.hypothesis import Base, base_box, make_data
 from aemd.diagnose.terms.courses import BreathingNoise
 from aemd.diagnose.terms.noise import ChangingNoise, SwellingNoise
+from aemd.model import DifferenceNoise, GaussMarkov, Model, SupplyCoupling, WhiteNoise
 from tests.diagnose.plant import INTERVAL_S, clean, series, times
 
 N = 300
@@ -39,6 +41,25 @@ def test_where_white_noise_changes_what_apertures_take_off_stays(term, times_lou
     assert (steady.noise_var < 0).all()  # apertures take off more than the white noise is
     assert changed.noise_var - steady.noise_var == pytest.approx(WHITE**2 * (times_louder - 1))
     assert (changed.scale == 1).all()
+
+
+def test_beside_a_stated_model_too_what_apertures_take_off_stays():
+    data = make_data(series(clean(1, N), aperture_s=0.9 * INTERVAL_S, witnesses={"supply": 5 + 0.1 * np.sin(TURN)}))
+    walk = GaussMarkov(role="internal", rate_V_per_rt_s=1e-2, tau_s=10.0)
+    gain = SupplyCoupling(coefficient_per_V=0.3, sd_V=0.1, tau_s=10.0, mean_V=5.0)
+    white = WhiteNoise.from_sd(1e-3, 0.9 * INTERVAL_S)
+    louder = ChangingNoise(5.0, 12.0, 3.0, 0.0)
+    steady, changed = (
+        assemble(
+            [Given(Model((walk, white), 1, (gain, DifferenceNoise(sd_V=1e-4))), 0.9 * INTERVAL_S), *terms],
+            np.array([log(3.0)] * len(terms)),
+            data,
+        )[1].noise_var
+        for terms in ((), (louder,))
+    )
+
+    expected = (1e-3 / data.unit_V * (1 + 0.03 * np.sin(TURN))) ** 2 * np.where(BETWEEN, 8.0, 0.0)
+    assert changed - steady == pytest.approx(expected)
 
 
 def test_where_everything_changes_so_does_what_apertures_take_off():

@@ -125,7 +125,7 @@ class Flicker:
         for tau, variance in zip(taus, variances, strict=True):
             rate, lost = averaged_markov(tau, exp(theta[0]) * sqrt(2 * variance / tau), data.aperture_s)
             parts.states.append((MARKOV, tau, 0.0, rate, rate * sqrt(tau / 2), 1.0))
-            parts.noise_var += lost
+            parts.average_out(lost)
 
     def parameters(self, data: Data) -> Sequence[Parameter]:
         """Return the root of its one-sided density at 1 Hz."""

@@ -176,7 +176,7 @@ class SupplyCoupling:
         zero = data.origin_V / data.unit_V
         parts.mean = (parts.mean + zero) * gain - zero
         parts.scale = parts.scale * gain
-        parts.noise_var = parts.noise_var * gain**2
+        parts.noise_var, parts.averaged = parts.noise_var * gain**2, parts.averaged * gain**2
 
     def parameters(self, data: Data) -> Sequence[Parameter]:  # noqa: ARG002 - a Term's
         """Return the coefficient."""
