@@ -186,6 +186,7 @@ def _with_shocks(fit: Fit) -> Fit | None:
     if jump > 0:
         begins += [(start, jumps_per_s, jump) for start in (_fit_calm(calm), *usual_starts(some))]
     few = data if data.n <= _SHORT else data.first(_SHORT)
+    few, some = (part if _has_its_share(out, part.n) else data for part in (few, some))
     starts = sorted((_best_decay(data, few, *begin) for begin in begins), key=lambda one: -one.value)[:_STARTERS]
     for part in (few, some, data):  # each on the shoulders of the last
         if part is few or part.n > few.n:
@@ -195,6 +196,14 @@ def _with_shocks(fit: Fit) -> Fit | None:
             starts, few = [Climb(starts[0].terms, theta, part) for theta in thetas], part
             starts = race(starts, steps_for(part))[:_FINALISTS]
     return residuals(starts[0].terms, starts[0].theta, data)
+
+
+def _has_its_share(out: NDArray[np.bool_], count: int) -> bool:
+    """Return whether half as many as are due of the readings that stand out are among the first so many.
+
+    Without them shocks die out in a fit to those, and are not found again by climbing.
+    """
+    return bool(2 * np.count_nonzero(out[:count]) * out.size >= np.count_nonzero(out) * count)
 
 
 def _begun_anew(theta: Floats, data: Data) -> list[Floats]:

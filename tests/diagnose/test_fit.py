@@ -96,6 +96,16 @@ def test_a_weak_drift_beside_a_strong_signal_is_not_left_out():
         assert fit_base(data).log_likelihood > at_truth
 
 
+def test_shocks_that_all_come_late_are_in_the_base():
+    """A record is fitted to its first 5,000 readings first, and among these is none."""
+    n, rng = 6_000, np.random.default_rng(28)
+    y = markov(rng, n, 0.74, 1.0) + 0.94 * rng.standard_normal(n)
+    for at, size in ((5_340, -7.3), (5_950, -10.0)):
+        y[at:] += size * np.exp(-np.arange(n - at))
+
+    assert fit_base(make_data(series(1.0 + 1e-3 * y))).base.shocks
+
+
 def test_climbs_that_meet_go_on_as_one_and_the_best_comes_first():
     data, true = drawn(1, 1_000)
     term = Base(true, shocks=True, box=(*fit_base(data).base.box[:6], (-9.0, 2.0), (-1.0, 9.0), (-5.0, 2.0)))
