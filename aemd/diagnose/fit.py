@@ -186,7 +186,7 @@ def _with_shocks(fit: Fit) -> Fit | None:
     if jump > 0:
         begins += [(start, jumps_per_s, jump) for start in (_fit_calm(calm), *usual_starts(some))]
     few = data if data.n <= _SHORT else data.first(_SHORT)
-    few, some = (part if _has_its_share(out, part.n) else data for part in (few, some))
+    few = few if data.n > _LONG or _has_its_share(out, few.n) else data  # all of a long record would take minutes
     starts = sorted((_best_decay(data, few, *begin) for begin in begins), key=lambda one: -one.value)[:_STARTERS]
     for part in (few, some, data):  # each on the shoulders of the last
         if part is few or part.n > few.n:
