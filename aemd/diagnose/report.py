@@ -1,7 +1,7 @@
 """A diagnosis as text for a terminal: the verdict, then two lines a finding."""
 
 import re
-from math import ceil, isfinite, log, log10
+from math import ceil, isfinite, isnan, log, log10
 
 from aemd.diagnose.result import Diagnosis, Finding, Gain, Promise, Value
 
@@ -17,6 +17,30 @@ _TIMES_A_FREQUENCY = 1e-3
 _HARMONIC = r"amplitude_(\d+)_V$"
 _HARMONICS = 3
 """That are told."""
+_WORDS = {
+    ("missing_samples", "fraction"): "part of the readings",
+    ("replayed_block", "fraction"): "part of the readings",
+    ("stuck_readings", "fraction"): "part of the readings",
+    ("saturation", "fraction"): "part of the readings",
+    ("dead_band", "fraction"): "part of the readings",
+    ("heavy_tails", "fraction"): "part of the readings",
+    ("heavy_tails", "sd_V"): "sd of what these have more",
+    ("popcorn_noise", "fraction"): "part of the time above",
+    ("shock_law", "fraction"): "part that is positive",
+    ("signal_dependent_noise", "fraction"): "sd over the reading",
+    ("smoothing", "fraction"): "part of the last reading in the next",
+    ("quantisation", "ratio"): "step over what is new in a reading",
+    ("changing_noise", "ratio"): "noise then over noise elsewhere",
+    ("ring_down", "ratio"): "first swing over the shock",
+    ("clock_error", "ratio"): "interval over the nominal one",
+    ("range_switching", "level_V"): "wider range from",
+    ("range_switching", "sd_V"): "noise added there",
+}
+"""Of parameters whose name does not say what they are of."""
+_SURE = 1e-300
+"""What p-values are not told below."""
+_MANY = 1e4
+"""From here on numbers are written out, with their thousands apart."""
 _PREFIXES = {0: "", -3: "m", -6: "µ", -9: "n", -12: "p", 3: "k", 6: "M"}
 
 
@@ -115,9 +139,7 @@ def _finding(finding: Finding) -> tuple[str, str]:
         others = " or ".join("something unexplained" if n == "unexplained" else _plain(n) for n in finding.names[1:])
         what = f"Consistent with {_call(finding)} ({finding.probability:.0%}), not told apart from {others}"
         what += f" {finding.remark}" if "unexplained" in finding.names else _longer(finding)
-    evidence = (
-        "certain" if finding.p_value == 0 else f"p = {max(finding.p_value, 1e-300):.1g} over all places it was sought"
-    )
+    evidence = "certain" if finding.p_value == 0 else f"{_probability(finding.p_value)} over all places it was sought"
     worth = ""
     if finding.gain.nats_total:
         worth = f"; {_worth(finding.gain)}"
@@ -128,12 +150,16 @@ def _finding(finding: Finding) -> tuple[str, str]:
     return f"{what}{mark} {sizes + '; ' if sizes else ''}{evidence}{worth}.", f"  Next: {then}."
 
 
+def _probability(p_value: float) -> str:
+    return f"p = {p_value:.1g}" if p_value > _SURE else f"p below {_SURE:.0g}"
+
+
 def _sizes(finding: Finding) -> str:
     """Return the parameters in words; of many harmonics the strongest; the JSON has all."""
     harmonics = [name for name in finding.parameters if re.match(_HARMONIC, name)]
     strongest = sorted(harmonics, key=lambda name: -finding.parameters[name].value)[:_HARMONICS]
     told = [
-        f"{_plain(name)} {_say(value)}"
+        f"{_WORDS.get((finding.cause, name)) or _plain(name)} {_say(value)}"
         for name, value in finding.parameters.items()
         if name not in harmonics or name in strongest
     ]
@@ -191,6 +217,8 @@ def _ordinal(number: int) -> str:
 def _say(value: Value) -> str:
     """Return a number with its interval, as many digits as that tells; an end that is open is said to be.
 
+    Where nothing is said of an interval, the number is alone.
+
     >>> _say(Value(62.2261, 55.5205, 69.7416, "")), _say(Value(62.2261, 62.2261, float("inf"), "s"))
     ('62.23 (55.52 to 69.74)', '62.23 s (or more)')
     """
@@ -201,7 +229,7 @@ def _say(value: Value) -> str:
         digits = min(max(ceil(log10(max(abs(here), abs(low), abs(high)) / (high - low))) + 1, 3), 9)
     text = _engineer(here, value.unit, digits)
     if low == high or (open_below and open_above):
-        return text if low == high else f"{text} (of any size)"
+        return text if low == high or isnan(low) else f"{text} (of any size)"
     if open_above or open_below:
         end, way = _engineer(low if open_above else high, value.unit, digits), "more" if open_above else "less"
         return f"{text} (or {way})" if end == text else f"{text} ({end} or {way})"
@@ -215,10 +243,14 @@ def _say(value: Value) -> str:
 def _engineer(value: float, unit: str, digits: int = 4) -> str:
     """Return a number with so many digits, with a prefix where the unit takes one.
 
-    >>> _engineer(0.00012346, "V")
-    '123.5 µV'
+    >>> _engineer(0.00012346, "V"), _engineer(42463.7, "s"), _engineer(-2081.3, "1/V")
+    ('123.5 µV', '42,460 s', '-2081 /V')
     """
-    if unit in ("", "s", "Hz", "C") or value == 0 or not isfinite(value):
-        return f"{value:.{max(digits, 4)}g} {unit}".strip()
+    if unit in ("", "s", "Hz", "C") or unit.startswith("1/") or value == 0 or not isfinite(value):
+        digits = max(digits, 4)
+        plain = _MANY <= abs(value) < 1e9
+        whole = round(value, digits - 1 - int(log10(abs(value)))) if plain else value
+        number = f"{whole:,.{max(digits - 1 - int(log10(abs(value))), 0)}f}" if plain else f"{value:.{digits}g}"
+        return f"{number} {unit.removeprefix('1')}".strip()
     power = max(min(int(log10(abs(value)) // 3) * 3, 6), -12)
     return f"{value / 10.0**power:.{digits}g} {_PREFIXES[power]}{unit}"

@@ -1,7 +1,7 @@
 """What the text of a report says: the right word for a line, ends that are open, what was not fitted."""
 
 from dataclasses import replace
-from math import inf
+from math import inf, nan
 
 import numpy as np
 import pytest
@@ -68,10 +68,24 @@ def test_what_was_not_fitted_is_told_apart_from_what_to_do_next():
         (Value(608.147039, 608.146, 608.148, "Hz"), "608.147 Hz (608.146 to 608.148)"),
         (Value(50.0119888, 50.0119664, 50.0120111, "Hz"), "50.011989 Hz (50.011966 to 50.012011)"),
         (Value(1.1e-3, 0.9e-3, 1.3e-3, "V"), "1.1 mV (900 µV to 1.3 mV)"),
+        (Value(1.53e-6, nan, nan, "V"), "1.53 µV"),
+        (Value(42463.74, 42463.74, 42463.74, "s"), "42,460 s"),
+        (Value(42463.74, 42463.5, 42464.0, "s"), "42,463.7 s (42,463.5 to 42,464.0)"),
+        (Value(-2081.3, -2210.0, -1960.0, "1/V"), "-2081 /V (-2210 to -1960)"),
     ],
 )
 def test_a_size_has_the_digits_that_its_interval_tells_and_says_which_end_is_open(value, words):
     assert f"quality {words}; " in format_finding(finding("resonance", {"quality": value}))
+
+
+def test_a_number_whose_name_does_not_say_of_what_it_is_is_told_in_words():
+    text = format_finding(finding("quantisation", {"ratio": Value(1.03, 1.03, 1.03, "")}))
+
+    assert "step over what is new in a reading 1.03; p = 1e-09 over all places" in text
+
+
+def test_a_probability_below_all_that_are_told_is_said_to_be():
+    assert "p below 1e-300 over all places" in format_finding(replace(finding("step", {}), p_value=1e-300))
 
 
 def test_an_interval_is_open_beyond_a_bound_that_the_fit_ended_at(base):
