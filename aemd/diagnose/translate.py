@@ -15,7 +15,7 @@ from aemd import model
 from aemd.diagnose.apertures import averaged_markov, averaged_out, struck_between
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.given import Given
-from aemd.diagnose.hypothesis import Base, signal_and_drift
+from aemd.diagnose.hypothesis import Base, Parts, signal_and_drift
 from aemd.diagnose.terms.events import PeriodicGlitch, Popcorn, RingDown, ShockLaw
 from aemd.diagnose.terms.lines import Sines, WanderingLine
 from aemd.diagnose.terms.noise import (
@@ -112,12 +112,15 @@ def as_tables(made: model.Model) -> Mapping[str, Any]:
 def _base(base: Base, v: Floats, fit: Fit, aperture_s: float) -> list[Any]:
     unit, span = fit.data.unit_V, fit.data.span_s
     # What is fitted is at instants; the model's processes are averaged, which takes from the white noise what is fast.
-    ways = signal_and_drift(v)
-    kept, lost = zip(*(averaged_markov(exp(v[at]), exp(v[at + 1]), aperture_s) for at in ways), strict=True)
-    signal_tau_s, drift_tau_s = (exp(v[at]) for at in ways)
-    signal, drift = (exp(v[at + 1]) ** 2 / rate for at, rate in zip(ways, kept, strict=True))
-    beside = exp(2 * v[4]) + sum(averaged_out(exp(v[at]), exp(v[at + 1]), fit.data.aperture_s) for at in (0, 2))
-    white = sqrt(max(beside * _quietest(fit) ** 2 - sum(lost), _LEAST_PART * exp(2 * v[4])))
+    places = signal_and_drift(v)
+    signal_tau_s, drift_tau_s = (exp(v[at]) for at in places)
+    signal, drift = (exp(v[at + 1]) / averaged_markov(exp(v[at]), 1.0, aperture_s)[0] for at in places)
+    fitted, lost = (
+        sum(averaged_out(exp(v[at]), exp(v[at + 1]), each) for at in places)
+        for each in (fit.data.aperture_s, aperture_s)
+    )
+    own = exp(2 * v[4])
+    white = sqrt(max(own * _quietest(fit) ** 2 + fitted - lost, _LEAST_PART * own))
     made: list[Any] = [
         model.Level(level_V=float(v[5] * unit + fit.data.origin_V)),
         model.GaussMarkov(role="signal", rate_V_per_rt_s=signal * unit, tau_s=signal_tau_s),
@@ -132,6 +135,15 @@ def _base(base: Base, v: Floats, fit: Fit, aperture_s: float) -> list[Any]:
         left = struck_between(exp(v[8]), fit.data.interval_s)
         made.append(model.Shocks(rate_per_s=exp(v[6]), sd_V=exp(v[7]) * unit / left, decay_s=exp(v[8])))
     return made
+
+
+def _steady_sd(fit: Fit) -> float:
+    """Return the standard deviation of the white noise as it would be without what changes it, in scaled readings."""
+    parts = Parts(np.zeros(fit.data.y.size), np.zeros(fit.data.y.size), np.ones(fit.data.y.size))
+    for number, term in enumerate(fit.terms):
+        if not isinstance(term, ChangingNoise):
+            term.add(fit.parts_of(number), fit.data, parts)
+    return sqrt(max(float(np.median(parts.noise_var - parts.averaged)), 0.0))
 
 
 def _quietest(fit: Fit) -> float:
@@ -160,7 +172,7 @@ def _sines(term: Sines, v: Floats, fit: Fit, aperture_s: float) -> Made:
 
 def _changing(term: ChangingNoise, v: Floats, fit: Fit, aperture_s: float) -> Made:
     """Return the noise that is added between the instants; where it is less there, what is added elsewhere."""
-    white_V, ratio = fit.white * fit.data.unit_V, exp(v[0])
+    white_V, ratio = _steady_sd(fit) * fit.data.unit_V, exp(v[0])
     density = white_V * sqrt(abs(ratio**2 - 1)) * sqrt(2 * aperture_s)
     inside, outside = (term.begin_s, term.end_s - term.begin_s), ((0.0, term.begin_s), (term.end_s, inf))
     spans = (inside,) if ratio >= 1 else outside

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from aemd.diagnose import criticise, diagnose, format_diagnosis, model_of, write_extended
+from aemd.diagnose.climb import assemble
 from aemd.diagnose.fit import fit_base, residuals
-from aemd.diagnose.given import accept
-from aemd.diagnose.hypothesis import make_data
-from aemd.diagnose.terms.noise import DifferenceNoise, Smoothing
+from aemd.diagnose.given import Given, accept
+from aemd.diagnose.hypothesis import Base, base_box, make_data
+from aemd.diagnose.terms.noise import ChangingNoise, DifferenceNoise, Smoothing
 from aemd.diagnose.translate import to_model
 from aemd.model import Resonance, Sine
 from aemd.simulate import read_model, simulate
@@ -91,3 +92,21 @@ def test_an_extended_model_is_written_in_the_order_that_the_filter_has_and_can_b
 
     assert [effect.effect for effect in made.effects] == ["difference_noise", "smoothing"]
     assert accept(made, "made")[0].stated is made
+
+
+@pytest.mark.parametrize("changes", [(), (10.0, 120.0, 3.0), (10.0, 40.0, 3.0), (10.0, 120.0, 0.4), (10.0, 40.0, 0.4)])
+def test_the_model_that_is_written_gives_the_filter_the_processes_and_the_noise_that_the_fit_has(changes):
+    """Also where a process is as fast as the apertures, and where noise is louder, or less, for most of the record."""
+    n, aperture_s = 2_000, 0.9 * INTERVAL_S
+    data = make_data(series(clean(8, n), aperture_s=aperture_s))
+    theta = np.array([np.log(0.06), 1.5, np.log(60.0), -1.0, np.log(0.4), 0.0])
+    terms = [Base(theta, shocks=False, box=base_box(data)), *([ChangingNoise(*changes, 0.0)] if changes else [])]
+    fit = residuals(terms, np.concatenate([term.start for term in terms]), data)
+    written = Given(to_model(fit, aperture_s)[0], aperture_s)
+
+    (_, fitted, _), (_, again, _) = (
+        assemble(*which, data) for which in ((fit.terms, fit.theta), ([written], np.empty(0)))
+    )
+
+    assert again.noise_var == pytest.approx(fitted.noise_var, rel=1e-9)
+    assert np.array(again.states) == pytest.approx(np.array(fitted.states), rel=1e-9)
