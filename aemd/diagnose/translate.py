@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aemd import model
-from aemd.diagnose.apertures import averaged_markov, averaged_out, struck_between
+from aemd.diagnose.apertures import averaged_markov, averaged_out, averaged_pair, struck_between
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.given import Given
 from aemd.diagnose.hypothesis import Base, Parts, signal_and_drift
@@ -40,7 +40,7 @@ Floats = NDArray[np.float64]
 Made = tuple[list[Any], list[Any]]
 
 _BLOCKED = 0.05
-"""Part of a sinusoid that an aperture must let through for its amplitude before the aperture to mean anything."""
+"""Part of what swings that an aperture must let through for its size before the aperture to mean anything."""
 _LEAST_PART = 1e-4
 """Of the white noise that was fitted, which is left where another aperture averages less of what is fast."""
 _ORDER = (
@@ -205,10 +205,11 @@ def _flicker(_term: Flicker, v: Floats, fit: Fit, _: float) -> Made:
     return [model.FlickerNoise(amplitude_V=exp(v[0]) * fit.data.unit_V, low_hz=low_hz, high_hz=high_hz)], []
 
 
-def _resonance(term: Resonance, v: Floats, fit: Fit, _: float) -> Made:
-    frequency = term.frequency_hz + v[1] / term.tau_s
-    quality = max(pi * frequency * exp(v[0]), 0.51)
-    return [model.Resonance(frequency_hz=float(frequency), quality=quality, sd_V=exp(v[2]) * fit.data.unit_V)], []
+def _resonance(term: Resonance, v: Floats, fit: Fit, aperture_s: float) -> Made:
+    frequency, tau_s = float(term.frequency_hz + v[1] / term.tau_s), exp(v[0])
+    passed, _ = averaged_pair(tau_s, 2 * pi * frequency, 1.0, aperture_s)
+    sd_V = exp(v[2]) * fit.data.unit_V / max(passed, _BLOCKED)
+    return [model.Resonance(frequency_hz=frequency, quality=max(pi * frequency * tau_s, 0.51), sd_V=sd_V)], []
 
 
 def _difference(_term: DifferenceNoise, v: Floats, fit: Fit, _: float) -> Made:
@@ -298,14 +299,8 @@ def _popcorn(_term: Popcorn, v: Floats, fit: Fit, _: float) -> Made:
     ], []
 
 
-def _range_offset(term: RangeOffset, v: Floats, fit: Fit, _: float) -> Made:
-    edge, sign = (term.low, 1.0) if term.upwards else (term.high, -1.0)
-    unit, offset = fit.data.unit_V, float(v[0]) * (term.high - term.low) * fit.data.unit_V
-    return [], [model.RangeSwitching(threshold_V=abs(edge * unit + fit.data.origin_V) or 1e-12, offset_V=sign * offset)]
-
-
-def _range_overlap(term: RangeOverlap, _: Floats, fit: Fit, __: float) -> Made:
-    level_V, offset_V = (item.value(np.empty(0)) for item in term.parameters(fit.data))
+def _between_ranges(term: RangeOffset | RangeOverlap, v: Floats, fit: Fit, _: float) -> Made:
+    level_V, offset_V = (item.value(v) for item in term.parameters(fit.data))
     return [], [model.RangeSwitching(threshold_V=level_V or 1e-12, offset_V=offset_V)]
 
 
@@ -375,7 +370,7 @@ _MAKERS: Mapping[type, Callable[[Any, Floats, Fit, float], Made]] = {
     WanderingLine: _wandering,
     PeriodicGlitch: _glitch,
     Popcorn: _popcorn,
-    RangeOffset: _range_offset,
-    RangeOverlap: _range_overlap,
+    RangeOffset: _between_ranges,
+    RangeOverlap: _between_ranges,
     RangeSwitching: _range,
 }

@@ -8,9 +8,10 @@ from aemd.diagnose.climb import assemble
 from aemd.diagnose.fit import fit_base, residuals
 from aemd.diagnose.given import Given, accept
 from aemd.diagnose.hypothesis import Base, base_box, make_data
-from aemd.diagnose.terms.noise import ChangingNoise, DifferenceNoise, Smoothing
+from aemd.diagnose.terms.noise import ChangingNoise, DifferenceNoise, Resonance, Smoothing
 from aemd.diagnose.translate import to_model
-from aemd.model import Resonance, Sine
+from aemd.model import Resonance as Swinging
+from aemd.model import Sine
 from aemd.simulate import read_model, simulate
 from tests.diagnose.plant import INTERVAL_S, clean, series, times
 
@@ -62,7 +63,7 @@ def test_the_base_alone_is_the_base_model():
     diagnosis = criticise(series(clean(4)))
 
     assert model_of(diagnosis) == model_of(diagnosis, extended=False)
-    assert not [term for term in model_of(diagnosis).terms if isinstance(term, Sine | Resonance)]
+    assert not [term for term in model_of(diagnosis).terms if isinstance(term, Sine | Swinging)]
 
 
 def test_the_report_gives_the_verdict_first_and_two_lines_a_finding():
@@ -110,3 +111,17 @@ def test_the_model_that_is_written_gives_the_filter_the_processes_and_the_noise_
 
     assert again.noise_var == pytest.approx(fitted.noise_var, rel=1e-9)
     assert np.array(again.states) == pytest.approx(np.array(fitted.states), rel=1e-9)
+
+
+def test_a_resonance_that_an_aperture_weakens_is_written_as_it_was_before_that():
+    """Of 4 Hz the mean over 0.9 intervals leaves sinc(0.24), and the filter has what is left."""
+    aperture_s = 0.9 * INTERVAL_S
+    data = make_data(series(clean(8, 500), aperture_s=aperture_s))
+    fit = fit_base(data)
+    term = Resonance(4.0, 2.0, 20.0, 1.5, 0.0)
+    made, _ = to_model(residuals([*fit.terms, term], np.concatenate((fit.theta, term.start)), data), aperture_s)
+    (swinging,) = [part for part in made.terms if isinstance(part, Swinging)]
+    kept = [state[3] for state in assemble([Given(made, aperture_s)], np.empty(0), data)[1].states if state[2] > 0]
+
+    assert swinging.sd_V == pytest.approx(1.5 * data.unit_V / np.sinc(4.0 * aperture_s), rel=2e-3)
+    assert kept == pytest.approx([1.5, 1.5], rel=1e-3)

@@ -14,7 +14,7 @@ from scipy.stats import gamma, norm
 from aemd.diagnose.checks.gains import LONG, MOST_OF_ONE, gain_of, tail_of_one
 from aemd.diagnose.evidence import Evidence, bonferroni, weighted_chi2_tail
 from aemd.diagnose.fit import Fit, begin_with
-from aemd.diagnose.hypothesis import Base
+from aemd.diagnose.hypothesis import Base, Term
 from aemd.diagnose.kernels import MARKOV, PAIR
 from aemd.diagnose.terms.lines import amplitude_cost
 from aemd.diagnose.terms.noise import (
@@ -31,13 +31,10 @@ __all__ = ["check_colour", "check_resonance"]
 
 Floats = NDArray[np.float64]
 
-
 _PRESENT = 0.1
 """Of a part of the base: its spectrum over the whole, as the root of a sum of squares over the frequencies. Below it,
 half a nat per hundred, the part is at its bound and nothing was fitted by it; its shape, at whatever time constant it
 was left at, must not be taken out of what is tested."""
-
-
 _KEPT = 0.4
 """Where the search for a smoothing begins; from there the likelihood leads to weak ones and to strong ones."""
 
@@ -151,14 +148,14 @@ def check_colour(fit: Fit) -> list[Evidence]:
     return found
 
 
-def _one_sided(check: str, value: float, p_value: float, terms: tuple[object, ...], trials: float = 1.0) -> Evidence:
+def _one_sided(check: str, value: float, p_value: float, terms: tuple[Term, ...], trials: float = 1.0) -> Evidence:
     return Evidence(
         check=f"{check}: score in deviations",
         p_value=p_value,
         observed=value,
         low=float(norm.ppf(0.025 ** (1 / trials))),
         high=float(norm.ppf(0.975 ** (1 / trials))),
-        terms=terms,  # type: ignore[arg-type] # each is a Term
+        terms=terms,
     )
 
 

@@ -24,6 +24,7 @@ _WIDTHS = (1, 2, 4)
 _SHORTEST = 20
 """Readings; shorter periods are lines with a few harmonics, or patterns."""
 _LONGEST = 600
+"""Readings of the longest period."""
 _LEAST_PULSES = 3
 _LOUDEST = 4.5
 """Deviations that one pulse counts at most: two large readings of another cause are no train of three."""

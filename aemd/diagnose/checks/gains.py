@@ -20,6 +20,7 @@ MOST_OF_ONE, MOST_OF_ONE_SIDED = (float(chi2.isf(share, 1)) / 2 for share in (0.
 """Nats, 1.92 and 1.35: of one number too many 19 records of 20 gain no more, where it may be of either sign and where
 it ends at none, which half of the records are at."""
 _FIRST_STEPS, _LAST_STEPS = 2, 10
+"""Of each climb, and of the one that goes on at most."""
 _PROMISING = 6.0
 """Nats that a climb must have hope of after its first steps."""
 

@@ -20,6 +20,7 @@ __all__ = ["check_ring_down", "likely_marks"]
 Floats = NDArray[np.float64]
 
 _DECAYS = 5
+"""That are tried, from four readings on."""
 _RINGS = 3
 """Decays whose best wave begins a fit."""
 _LOWEST_TURNS = 1.0

@@ -92,7 +92,7 @@ class RandomWalk:
 def flicker_processes(low_hz: float, high_hz: float) -> tuple[Floats, Floats]:
     """Return time constants, s, and variances of first-order processes that sum to a one-sided density 1/f.
 
-    Three to two decades: with corners r apart and the variance ln r each, the sum of the Lorentzians
+    Three of them to two decades: with corners r apart and the variance ln r each, the sum of the Lorentzians
     4 v tau / (1 + (2 pi f tau)^2) is 1/f within 5 % between the two frequencies.
     """
     count = max(int(np.ceil(np.log10(high_hz / low_hz) * 1.5)) + 1, 2)
