@@ -12,6 +12,7 @@ from math import inf, log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from aemd.block import READING
 from aemd.diagnose.estimator import estimator_for
@@ -48,6 +49,9 @@ _DOF = 6.0
 _FARTHER, _WIDER, _WIDEST = 0.6, 1.3, 1.0
 """Of the drift's time constant: deviations that its draws are above the most likely one, which is most often too
 short; times its deviation that they are apart; and the most that this deviation may be, a natural logarithm."""
+_RULED_OUT = 1e-4
+"""Probability of what the readings rule out, by the chi-square law of the likelihood's ratio."""
+_HALVINGS = 8
 _NOTHING = 1e-13
 """Of the largest variance."""
 _LEVEL = 5
@@ -128,7 +132,21 @@ def _left_open(fit: Fit, spread: Floats, rng: np.random.Generator) -> Floats:
             return np.asarray(tried[np.minimum(at, weights.size - 1)])
     root = _root(spread)
     off = np.clip(rng.standard_normal((_RECORDS, root.shape[1])), -_FAR, _FAR) @ root.T
-    return np.clip(fit.theta + off, low, high)
+    least = _least(fit, root.shape[1])
+    return np.array([_nearer(fit, each, low, high, least) for each in off])
+
+
+def _nearer(fit: Fit, off: Floats, low: Floats, high: Floats, least: float) -> Floats:
+    """Return the fitted numbers and what is off them, by halves of it, until the readings do not rule it out.
+
+    A drift that is hardly there leaves its rate open downwards alone, and a covariance leaves it open upwards, too.
+    """
+    for _ in range(_HALVINGS):
+        tried = np.clip(fit.theta + off, low, high)
+        if float(densities(fit.terms, tried, fit.data).sum()) >= least:
+            return np.asarray(tried)
+        off = off / 2
+    return fit.theta
 
 
 def _weighed(fit: Fit, spread: Floats, low: Floats, high: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -143,7 +161,7 @@ def _weighed(fit: Fit, spread: Floats, low: Floats, high: Floats, rng: np.random
     centre[slow] = min(centre[slow], log(span_s))
     sd = sqrt(max(float(spread[slow, slow]), 0.0))
     scale = np.ones(centre.size)
-    scale[slow] = min(1.0, _WIDEST / max(sd, 1e-9))
+    scale[[slow, slow + 1]] = np.minimum(1.0, _WIDEST / np.maximum(np.sqrt(np.diag(spread)[[slow, slow + 1]]), 1e-9))
     spread = spread * np.outer(scale, scale)
     if sd == 0:  # on a bound
         spread[slow, slow] = _WIDEST**2
@@ -162,11 +180,19 @@ def _weighed(fit: Fit, spread: Floats, low: Floats, high: Floats, rng: np.random
     drawn[:, _LEVEL] = centre[_LEVEL] + off[:, _LEVEL] * stretch
     density = -(_DOF + free) / 2 * np.log1p(np.sum(student**2, axis=1) / _DOF) - np.log(stretch)
     possible = ((drawn >= low) & (drawn <= high)).all(axis=1) & (drawn[:, slow] <= log(_SLOWEST * span_s))
-    likely = [
-        float(densities(fit.terms, theta, fit.data).sum()) if within else -inf
-        for theta, within in zip(drawn, possible, strict=True)
-    ]
-    return drawn, np.array(likely) + drawn[:, slow + 1] - density
+    likely = np.array(
+        [
+            float(densities(fit.terms, theta, fit.data).sum()) if within else -inf
+            for theta, within in zip(drawn, possible, strict=True)
+        ]
+    )
+    likely[likely < _least(fit, free)] = -inf
+    return drawn, likely + drawn[:, slow + 1] - density
+
+
+def _least(fit: Fit, free: int) -> float:
+    """Return the log-likelihood below which the readings rule out what differs from the fit in so many numbers."""
+    return float(fit.log_likelihood - chi2.isf(_RULED_OUT, max(free, 1)) / 2)
 
 
 def _root(spread: Floats) -> Floats:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aemd.diagnose.fit import refit
+from aemd.diagnose.fit import refit, residuals
 from aemd.diagnose.hypothesis import Base, base_box, make_data
 from aemd.diagnose.intervals import covariance
 from aemd.diagnose.promise import _further, _left_open
@@ -74,3 +74,17 @@ def test_one_more_record_is_within_the_ends_in_95_of_100():
         within.append(low <= further <= high)
 
     assert np.mean(within) == pytest.approx(0.95, abs=0.015)
+
+
+@pytest.mark.parametrize("n", [6_000, 10_100])
+def test_a_drift_that_is_hardly_there_is_not_drawn_as_one_that_the_readings_rule_out(n):
+    """The logarithm of its rate is open by 25 downwards; upwards the white noise ends what is likely."""
+    rng = np.random.default_rng(8)
+    data = make_data(series(1e-3 * rng.standard_normal(n)))
+    theta = np.array([np.log(INTERVAL_S), -12.0, np.log(30.0), -9.0, np.log(1e-3 / data.unit_V), 0.0])
+    fit = residuals([Base(theta, shocks=False, box=base_box(data))], theta, data)
+    spread = np.diag([1.0, 1.0, 1.0, 25.0, 0.01, 0.01]) ** 2
+    drawn = _left_open(fit, spread, np.random.default_rng(1))
+    of_the_noise = np.exp(drawn[:, 3]) * np.sqrt(INTERVAL_S) / np.exp(theta[4])
+
+    assert of_the_noise.max() < 0.3  # a step of the drift in each interval, as a share of the white noise
