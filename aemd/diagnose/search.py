@@ -33,8 +33,10 @@ _OVERWHELMING = 1e-9
 merges what it should keep apart, so many nats less a shock, far more than is lost."""
 _LOST_A_SHOCK = 0.1
 _MOST_LOST = 600.0
-_MOST_FINDINGS = 6
-"""After so many terms the search stops and says so; on a record that has more, the first are worth the most by far."""
+_MOST_FINDINGS, _FEWEST, _READ = 6, 3, 600_000
+"""After so many terms the search stops and says so; on a record that has more, the first are worth the most by far. For
+each one it goes through all readings some hundred times; so on a long record it stops after fewer, but for the first
+few, where these times the readings are so many."""
 _HEAVIEST = 8.0
 _LIGHT = 1.4e7
 """Times the base's cost of a step of the fit, (states + 1)^2 free numbers, from which no term is added any more, unless
@@ -168,6 +170,8 @@ def _stop(fit: Fit, base: Fit, found: int) -> str:
     """Return why no further term is sought, in words; empty where one is."""
     if found >= _MOST_FINDINGS:
         return f"the search stops after {found} findings"
+    if found >= max(_FEWEST, _READ // fit.data.n):
+        return f"the search stops after {found} findings, as the record is long"
     if _weight(fit) > max(_HEAVIEST * _weight(base), _LIGHT / fit.data.n):
         return (
             f"the search stops after {found} findings, as the model has grown too large to be fitted in reasonable time"

@@ -8,8 +8,9 @@ import pytest
 from aemd.diagnose import criticise, format_diagnosis
 from aemd.diagnose.climb import Climb, race
 from aemd.diagnose.fit import fit_base, refit, residuals
-from aemd.diagnose.hypothesis import make_data
+from aemd.diagnose.hypothesis import Base, base_box, make_data
 from aemd.diagnose.naming import acts_throughout
+from aemd.diagnose.search import _stop
 from aemd.diagnose.terms.lines import Sines
 from aemd.diagnose.terms.noise import Resonance
 from tests.diagnose.counted import Counted
@@ -31,6 +32,17 @@ def test_after_six_findings_the_search_stops_and_says_what_is_left():
     assert (found.verdict, left.cause) == ("unexplained", "unexplained")
     assert left.p_value < 1e-20
     assert "which was not fitted: the search stops after 6 findings" in left.experiment
+
+
+@pytest.mark.parametrize(("n", "found", "stops"), [(1_500, 5, False), (150_000, 3, False), (150_000, 4, True)])
+def test_of_a_long_record_fewer_findings_are_sought_and_it_is_said_so(n, found, stops):
+    data = make_data(series(1.0 + 1e-3 * np.random.default_rng(8).standard_normal(n)))
+    theta = np.array([log(0.3), log(0.1), log(100.0), log(0.01), 0.0, 0.0])
+    fit = residuals([Base(theta, shocks=False, box=base_box(data))], theta, data)
+
+    assert _stop(fit, fit, found) == (
+        f"the search stops after {found} findings, as the record is long" if stops else ""
+    )
 
 
 @pytest.mark.parametrize(("resonances", "steps"), [(0, 5), (8, 1)])
