@@ -44,11 +44,14 @@ _HARDLY_UNEVEN = 0.35
 """Deviation of the parts' gains over their mean that goes with what acts all the time: of thousands of nats a tenth
 more here and there is many deviations, and no sign of anything that comes and goes."""
 _EVEN = ("mains_alias", "periodic_interference", "wandering_line", "resonance", "difference_noise", "reading_pattern")
+"""Mechanisms that act all the time."""
 _LINKED = ("nonlinearity", "signal_dependent_noise", "smoothing")
 """Mechanisms that act as much as the input moves, which may be uneven."""
 _MOST_IN_ONE = 0.7
-_CROWDED = ("nonlinearity", "signal_dependent_noise", "smoothing", "shock_law")
+"""Of their gain, from one of the parts."""
+_CROWDED = (*_LINKED, "shock_law")
 _MOST_IN_A_STRETCH = 0.5
+"""Of their gain, and of what a change of the shocks' law brings, from the best twentieth of the record."""
 _LEAST_TURNS = 3.0
 """Of what is said to come again, in a record."""
 _LEAST_TO_COLOUR = 20

@@ -27,6 +27,7 @@ Outcome = tuple[Evidence, Callable[[], list[Term]]]
 """Evidence, and what makes the terms that could explain it."""
 
 _LEVERAGE = 20.0
+"""Times its usual size, at which a shape is cut."""
 _LIMIT = 16.0
 """Of a squared residual, where a stretch of others is sought."""
 _EDGES = 150
