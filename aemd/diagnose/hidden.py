@@ -17,6 +17,12 @@ __all__ = ["hidden"]
 Floats = NDArray[np.float64]
 
 
+_COARSE = 1.5
+"""Lattice step in deviations of a reading's news from which rounding is no noise: readings that stay in one cell would
+have a density without bound, which mixtures of noises find.
+"""
+
+
 def hidden(
     series: Series, defects: Sequence[Defect], carried: Collection[str], *, rounded: bool
 ) -> tuple[NDArray[np.bool_], tuple[Floats, Floats] | None]:
@@ -26,7 +32,7 @@ def hidden(
         series: the readings.
         defects: what is wrong with them.
         carried: causes that the model under criticism has and its filter knows of.
-        rounded: whether what was rounded is known to within the step; a fitted noise has that in it.
+        rounded: whether what was rounded is known to within the step, however fine that is; a fitted noise has it in it.
     """
     dropped = np.zeros(series.value_V.size, bool)
     low, high = series.value_V.copy(), series.value_V.copy()
@@ -44,7 +50,7 @@ def hidden(
             case "dead_band":
                 level, half = defect.parameters["level_V"].value, defect.parameters["width_V"].value / 2
                 low[held], high[held] = level - half, level + half
-            case "quantisation" if rounded:
+            case "quantisation" if rounded or defect.observed > _COARSE:
                 half = defect.parameters["step_V"].value / 2
                 low, high = low - half, high + half
             case _:
