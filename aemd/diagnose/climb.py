@@ -14,6 +14,7 @@ __all__ = [
     "HOPELESS",
     "Climb",
     "assemble",
+    "box",
     "climb",
     "climb_on",
     "densities",
@@ -61,6 +62,13 @@ def split(terms: Sequence[Term], theta: Floats) -> list[Floats]:
         parts.append(theta[at : at + term.start.size])
         at += parts[-1].size
     return [*parts, theta[at:]]
+
+
+def box(terms: Sequence[Term], near: Floats, held: Sequence[int] = ()) -> tuple[Floats, Floats]:
+    """Return the bounds of all free numbers, low and high; those that are held have both where they are."""
+    low, high = np.array([bound for term in terms for bound in term.bounds], np.float64).reshape(-1, 2).T
+    low[list(held)] = high[list(held)] = near[list(held)]
+    return low, high
 
 
 def assemble(
@@ -198,15 +206,15 @@ class Climb:
         data: Data,
         cost_nats: float = 0.0,
         counted: NDArray[np.bool_] | None = None,
+        held: Sequence[int] = (),
     ) -> None:
         """Begin at `start`; `cost_nats` counts against this hypothesis in a race.
 
         Of all densities the sum is climbed, or of those that are `counted`: the filter follows the other readings, too.
+        The free numbers that are `held` stay where they begin.
         """
-        self.terms, self.cost_nats, self.data, self._counted = terms, cost_nats, data, counted
-        self._low, self._high = (
-            np.array([bound for term in terms for bound in term.bounds], np.float64).reshape(-1, 2).T
-        )
+        self.terms, self.cost_nats, self.data, self._counted, self._held = terms, cost_nats, data, counted, held
+        self._low, self._high = box(terms, start, held)
         self.theta = np.clip(start, self._low, self._high)
         self._here = self._densities(self.theta)
         self.value = float(self._here.sum())
@@ -249,14 +257,14 @@ class Climb:
 
     def over_blocks(self) -> "Climb":
         """Return the same start over some blocks of the record."""
-        return Climb(self.terms, self.theta, self.data.sampled(_BLOCKS, _BLOCK), self.cost_nats)
+        return Climb(self.terms, self.theta, self.data.sampled(_BLOCKS, _BLOCK), self.cost_nats, held=self._held)
 
     def led_by(self, begun: "Climb") -> "Climb":
         """Return a climb that begins where one over some blocks of the record ended, if that is higher; else this one.
 
         An effect that none of the blocks holds leaves its numbers where they were.
         """
-        ahead = Climb(self.terms, begun.theta, self.data, self.cost_nats)
+        ahead = Climb(self.terms, begun.theta, self.data, self.cost_nats, held=self._held)
         if ahead.value <= self.value:
             return self
         own = self.terms[-1].start.size
@@ -304,9 +312,11 @@ class Climb:
         self.gained, self.done = 0.0, True
 
 
-def climb(terms: Sequence[Term], start: Floats, data: Data, iterations: int = 40) -> tuple[Floats, float]:
-    """Return the free numbers of a local maximum of the likelihood, and its value."""
-    (alone,) = race([Climb(terms, start, data)], iterations)
+def climb(
+    terms: Sequence[Term], start: Floats, data: Data, iterations: int = 40, held: Sequence[int] = ()
+) -> tuple[Floats, float]:
+    """Return the free numbers of a local maximum of the likelihood, some held where they begin, and its value."""
+    (alone,) = race([Climb(terms, start, data, held=held)], iterations)
     return alone.theta, alone.value
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aemd.diagnose.fit import Fit
-from aemd.diagnose.hypothesis import Base, Bounds, Data, Fixed, Parts, Term, signal_and_drift
+from aemd.diagnose.hypothesis import Base, Bounds, Data, Fixed, Parts, signal_and_drift
 from aemd.diagnose.kernels import MARKOV
 from aemd.diagnose.settled import UNLIKELY, Tried, information_at, log_volume, settled
 
@@ -53,8 +53,9 @@ def drifts(fit: Fit) -> list[Tried]:
     than to a cell, it is a law of its own. Where both processes of the base are fast, they share the signal, and the
     drift is a third beside them.
     """
-    if _last and _last[0][0] is fit:
-        return _last[0][1]
+    for known, found in _last[:1]:  # copied at once, so that another thread's fit does not come between
+        if known is fit:
+            return found
     base, span_s = fit.base, fit.data.span_s
     slow = signal_and_drift(fit.theta)[1]
     low, high = base.box[slow + 1]
@@ -101,12 +102,11 @@ def _rates(
 
     def settle(rate: float, near: Floats) -> tuple[float, Floats]:
         if slow < 0:
-            terms: list[Term] = [*fit.terms, _Beside(exp(tau), exp(rate))]
+            value, theta, within = settled([*fit.terms, _Beside(exp(tau), exp(rate))], near, fit.data)
         else:
-            pinned = {slow: (tau, tau), slow + 1: (rate, rate)}
-            box = tuple(pinned.get(number, bound) for number, bound in enumerate(base.box))
-            terms = [Base(base.start, base.shocks, box), *fit.terms[1:]]
-        value, theta, within = settled(terms, near, fit.data)
+            begun = near.copy()
+            begun[slow : slow + 2] = tau, rate
+            value, theta, within = settled(fit.terms, begun, fit.data, held=(slow, slow + 1))
         tried.append(Tried(value + _prior(fit, tau, rate) + log_cell + _volume(within, base, -1), theta, within))
         return value, theta
 

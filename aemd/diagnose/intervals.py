@@ -17,7 +17,7 @@ from aemd.diagnose.hypothesis import Parameter
 from aemd.diagnose.instants import rings
 from aemd.diagnose.mixture import Weighed, slopes_of
 from aemd.diagnose.result import Value
-from aemd.diagnose.settled import Held, information_at, likelihood_at
+from aemd.diagnose.settled import information_at, likelihood_at, weighted
 from aemd.diagnose.weighed import beside
 
 __all__ = ["covariance", "describe"]
@@ -52,14 +52,10 @@ _DRAWS = 1_000
 
 def covariance(fit: Fit) -> Floats:
     """Return the covariance of the free numbers about their most likely values, shape (k, k)."""
-    if not any(is_slow(fit, number) for number in range(1, len(fit.terms))):
-        return information_at(fit.terms, fit.theta, fit.data)[1]
-    tries = [one for one in drifts(fit) if np.isfinite(one.log_weight) and np.isfinite(one.within).all()]
+    slow = any(is_slow(fit, number) for number in range(1, len(fit.terms)))
+    tries, weights = weighted(drifts(fit) if slow else [])
     if not tries:
         return information_at(fit.terms, fit.theta, fit.data)[1]
-    highest = max(one.log_weight for one in tries)
-    weights = np.array([exp(one.log_weight - highest) for one in tries])
-    weights /= weights.sum()
     total = np.zeros((fit.theta.size, fit.theta.size))
     for weight, one in zip(weights, tries, strict=True):
         apart = one.theta - fit.theta
@@ -163,11 +159,9 @@ def _over_the_parabola(fit: Fit, number: int, at: int) -> tuple[float, float]:
     for side in (-1.0, 1.0):
         reach = parabola
         for _ in range(2):
-            value = float(np.clip(fit.theta[index] + side * reach, low, high))
-            moved = value - float(fit.theta[index])
-            terms = [*fit.terms]
-            terms[number] = Held(fit.terms[number], at, value)
-            fallen = fit.log_likelihood - climb(terms, fit.theta + along * moved, fit.data, _CLIMB)[1]
+            moved = float(np.clip(fit.theta[index] + side * reach, low, high) - fit.theta[index])
+            begun = fit.theta + along * moved
+            fallen = fit.log_likelihood - climb(fit.terms, begun, fit.data, _CLIMB, held=(index,))[1]
             further = abs(moved) * sqrt(_FALLEN / max(fallen, 1e-3))
             reach = float(np.clip(further, parabola, parabola * _FARTHER))
         found.append(reach / parabola)

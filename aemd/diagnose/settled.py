@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from aemd.diagnose.climb import densities, readings_scores
+from aemd.diagnose.climb import box, densities, readings_scores
 from aemd.diagnose.fit import Fit
-from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts, Term
+from aemd.diagnose.hypothesis import Data, Term
 
-__all__ = ["UNLIKELY", "Held", "Tried", "information_at", "likelihood_at", "log_volume", "settled"]
+__all__ = ["UNLIKELY", "Tried", "information_at", "likelihood_at", "log_volume", "settled", "weighted"]
 
 Floats = NDArray[np.float64]
 
@@ -33,58 +33,26 @@ class Tried:
     within: Floats
 
 
-@dataclass(frozen=True, slots=True)
-class Held:
-    """A term one of whose free numbers is held where it is."""
-
-    term: Term
-    at: int
-    value: float
-
-    @property
-    def cause(self) -> str:
-        """Id of what it stands for."""
-        return self.term.cause
-
-    @property
-    def cost_nats(self) -> float:
-        """The term's."""
-        return self.term.cost_nats
-
-    @property
-    def start(self) -> Floats:
-        """The term's."""
-        return self.term.start
-
-    @property
-    def bounds(self) -> Sequence[Bounds]:
-        """The term's, but for what is held."""
-        return [(self.value, self.value) if at == self.at else bound for at, bound in enumerate(self.term.bounds)]
-
-    def add(self, theta: Floats, data: Data, parts: Parts) -> None:
-        """Add the term."""
-        self.term.add(theta, data, parts)
-
-    def parameters(self, data: Data) -> Sequence[Parameter]:
-        """Return the term's."""
-        return self.term.parameters(data)
-
-
 def information_at(terms: Sequence[Term], theta: Floats, data: Data) -> tuple[Floats, Floats]:
     """Return the gradient and the covariance at some free numbers: the inverse of the outer product of scores."""
-    low, high = _box(terms)
+    low, high = box(terms, theta)
     scores = readings_scores(terms, theta, data, densities(terms, theta, data), high)
     return scores.sum(axis=0), _inverse(scores, (theta > low) & (theta < high))
 
 
 def likelihood_at(fit: Fit, index: int, value: float) -> float:
     """Return the likelihood with a free number of some term held elsewhere, near the top."""
-    begins = np.cumsum([0, *(term.start.size for term in fit.terms)])
-    number = int(np.searchsorted(begins, index, side="right")) - 1
-    terms, near = [*fit.terms], fit.theta.copy()
-    terms[number] = Held(fit.terms[number], index - int(begins[number]), value)
+    near = fit.theta.copy()
     near[index] = value
-    return settled(terms, near, fit.data)[0]
+    return settled(fit.terms, near, fit.data, held=(index,))[0]
+
+
+def weighted(tries: Sequence[Tried]) -> tuple[list[Tried], Floats]:
+    """Return those of some fits that could be computed, and their weights, which sum to 1."""
+    kept = [one for one in tries if np.isfinite(one.log_weight) and np.isfinite(one.within).all()]
+    weights = np.array([one.log_weight for one in kept])
+    weights = np.exp(weights - weights.max(initial=-np.inf))
+    return kept, weights / weights.sum()
 
 
 def log_volume(within: Floats, at: Sequence[int]) -> float:
@@ -94,9 +62,9 @@ def log_volume(within: Floats, at: Sequence[int]) -> float:
     return 0.5 * float(np.linalg.slogdet(own + np.diag(np.where(certain, 1.0, 1e-9 * np.diag(own))))[1])
 
 
-def settled(terms: Sequence[Term], near: Floats, data: Data) -> tuple[float, Floats, Floats]:
-    """Return likelihood, free numbers and covariance a step or two of Newton from a neighbour."""
-    low, high = _box(terms)
+def settled(terms: Sequence[Term], near: Floats, data: Data, held: Sequence[int] = ()) -> tuple[float, Floats, Floats]:
+    """Return likelihood, free numbers and covariance a step or two of Newton from a neighbour, some numbers held."""
+    low, high = box(terms, near, held)
     theta = np.clip(near, low, high)
     here = densities(terms, theta, data)
     value, within = float(here.sum()), np.zeros((theta.size, theta.size))
@@ -123,10 +91,6 @@ def settled(terms: Sequence[Term], near: Floats, data: Data) -> tuple[float, Flo
 
 def _inwards(theta: Floats, low: Floats, high: Floats, gradient: Floats) -> NDArray[np.bool_]:
     return np.asarray(((theta <= low) & (gradient > 0)) | ((theta >= high) & (gradient < 0)))
-
-
-def _box(terms: Sequence[Term]) -> Floats:
-    return np.array([bound for term in terms for bound in term.bounds], np.float64).reshape(-1, 2).T
 
 
 def _inverse(scores: Floats, free: NDArray[np.bool_], damping: float = 1e-9) -> Floats:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from aemd.diagnose.drifts import LONG, drifts, is_slow
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.mixture import Weighed
-from aemd.diagnose.settled import UNLIKELY, Held, Tried, information_at, log_volume, settled
+from aemd.diagnose.settled import UNLIKELY, Tried, information_at, log_volume, settled, weighted
 from aemd.diagnose.terms.shapes import Step
 from aemd.diagnose.terms.witnessed import Latency, delayed
 
@@ -50,12 +50,11 @@ def beside(fit: Fit, number: int) -> Weighed | None:
         tries = _along(fit, number, begin)
     else:
         return None
-    tries = [one for one in tries if np.isfinite(one.log_weight) and np.isfinite(one.within).all()]
+    tries, weights = weighted(tries)
     if not tries:
         return None
-    weights = np.exp(np.array([one.log_weight for one in tries]) - max(one.log_weight for one in tries))
     mixed = Weighed(
-        weights / weights.sum(),
+        weights,
         np.array([one.theta[own] for one in tries]),
         np.array([one.within[own, own] for one in tries]),
     )
@@ -77,11 +76,9 @@ def _along(fit: Fit, number: int, at: int) -> list[Tried]:
     places: list[tuple[float, float, Floats, Floats]] = []
 
     def settle(value: float, near: Floats) -> tuple[float, Floats]:
-        terms = [*fit.terms]
-        terms[number] = Held(fit.terms[number], 0, value)
         begun = near.copy()
         begun[at] = value
-        there = settled(terms, begun, fit.data)
+        there = settled(fit.terms, begun, fit.data, held=(at,))
         places.append((value, *there))
         return there[0], there[1]
 
