@@ -19,8 +19,7 @@ Floats = NDArray[np.float64]
 
 _COARSE = 1.5
 """Lattice step in deviations of a reading's news from which rounding is no noise: readings that stay in one cell would
-have a density without bound, which mixtures of noises find.
-"""
+have a density without bound, which mixtures of noises find."""
 
 
 def hidden(
@@ -32,7 +31,7 @@ def hidden(
         series: the readings.
         defects: what is wrong with them.
         carried: causes that the model under criticism has and its filter knows of.
-        rounded: whether what was rounded is known to within the step, however fine that is; a fitted noise has it in it.
+        rounded: whether what was rounded is known to within the step, however fine; a fitted noise has it in it.
     """
     dropped = np.zeros(series.value_V.size, bool)
     low, high = series.value_V.copy(), series.value_V.copy()
