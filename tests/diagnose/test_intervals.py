@@ -58,10 +58,10 @@ def test_the_ends_of_a_mixture_leave_their_share_of_both_laws():
         assert 0.7 * norm.cdf(end) + 0.3 * norm.cdf((end - 5) / 2) == pytest.approx(share, abs=1e-9)
 
 
-def still_base(y: np.ndarray) -> tuple[Base, np.ndarray]:
+def still_base(y: np.ndarray, white_V: float = 1e-3) -> tuple[Base, np.ndarray]:
     """White noise of a known deviation and nothing else: all of the base is held but its level."""
     data = make_data(series(1e-3 * y))
-    theta = np.array([np.log(INTERVAL_S), -12.0, np.log(5 * INTERVAL_S), -12.0, np.log(1e-3 / data.unit_V), 0.0])
+    theta = np.array([np.log(INTERVAL_S), -12.0, np.log(5 * INTERVAL_S), -12.0, np.log(white_V / data.unit_V), 0.0])
     box = tuple(
         (value, value) if at < 5 else bound for at, (value, bound) in enumerate(zip(theta, base_box(data), strict=True))
     )
@@ -88,7 +88,10 @@ def test_the_interval_of_the_largest_difference_reaches_farther_down():
 
 
 def test_an_offset_leaves_its_hole_room_for_the_threshold():
-    """The offset is the hole less two spacings of readings; so the law of what it lacks is a gamma law of two."""
+    """The offset is the hole less two spacings of readings; so the law of what it lacks is a gamma law of two.
+
+    The interval ends where 2.5 % of that law lack more, and at the other end with the estimate, which is the hole.
+    """
     rng, n = np.random.default_rng(6), 2_000
     x = np.cumsum(rng.standard_normal(n)) * 0.05 + rng.standard_normal(n)
     y = x + 2.0 * (x >= 0.5)
@@ -96,16 +99,14 @@ def test_an_offset_leaves_its_hole_room_for_the_threshold():
     hole = np.sort(data.y)
     at = int(np.argmax(np.diff(hole)))
     term = RangeOffset(float(hole[at]), float(hole[at + 1]), True, 0.0)
-    base, theta = still_base(x)
-    start = np.append(theta, 1.0)
-    start[4] = np.log(1.5e-3 / data.unit_V)
-    fit = residuals([base, term], start, data)
+    base, theta = still_base(y, white_V=1.5e-3)
+    fit = refit([base, term], data, np.append(theta, 1.0))
     told = describe(fit, 1, covariance(fit))["offset_V"]
 
     def lost(part: float) -> float:
-        return fit.log_likelihood - residuals([base, term], np.append(start[:-1], part), data).log_likelihood
+        return fit.log_likelihood - residuals([base, term], np.append(fit.theta[:-1], part), data).log_likelihood
 
     width_V, slope = (term.high - term.low) * data.unit_V, lost(0.999) / 0.001
 
-    assert told.high == pytest.approx(width_V * (1 - 0.2422 / slope), rel=1e-3)
-    assert told.low == pytest.approx(width_V * (1 - 5.572 / slope), rel=1e-2)
+    assert told.high == pytest.approx(width_V, rel=1e-9)
+    assert (1 - told.low / width_V) * slope == pytest.approx(5.572, rel=0.1)
