@@ -37,8 +37,9 @@ _FEW_SHOCKS = 8.0  # expected in a record, below which they may be something els
 _SHORT = 5_000  # readings below which likelihoods have several tops, and more starts are tried
 _LONG = 20_000  # readings beyond which the mixture is first fitted to a part
 _LEAST_WHITE = 1e-8  # variance; what apertures average out may leave less than none
-_DECAYS = tuple(0.3 * 1.6**k for k in range(10))
+_DECAYS = tuple(0.3 * 1.6**k for k in range(2, 10))
 """Intervals that shocks of the starts take to decay."""
+_SHOCK_SD = 7  # of the base's free numbers
 _STARTERS = 6
 _FINALISTS = 2
 """Starts that go on to a longer part of the record."""
@@ -266,9 +267,11 @@ def begin_with(fit: Fit, term: Term) -> list[Floats]:
     theta = np.concatenate((fit.theta, term.start))
     if not isinstance(fit.terms[0], Base):
         return [theta]
-    if isinstance(term, Smoothing):  # what was smoothed has another spectrum
-        y = sharpened(fit.data, term.kept).y
-        theta[:5] = spectral_starts(replace(fit.data, y=y))[0][:5]
+    if isinstance(term, Smoothing):  # what was smoothed has another spectrum, and jumps had been larger
+        sharp = replace(fit.data, y=sharpened(fit.data, term.kept).y)
+        theta[:5] = spectral_starts(without_jumps(sharp)[0] if fit.base.shocks else sharp)[0][:5]
+        if fit.base.shocks:
+            theta[_SHOCK_SD] -= log(1 - term.kept)
     elif isinstance(term, DifferenceNoise):  # white noise, or a signal no longer than a reading, stood for it
         known = fit.mean - fit.theta[5]
         anew = theta.copy()

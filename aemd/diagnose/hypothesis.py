@@ -33,6 +33,9 @@ __all__ = [
 Floats = NDArray[np.float64]
 Bounds = tuple[float, float]
 
+_FASTEST_DECAY = 0.5
+"""Intervals, of which a seventh is left in the next reading: a shock that decays faster is one reading's, and so is a
+tail of the noise."""
 _SLOWEST_DECAY = 0.02
 """Of the span: a shock that decays more slowly is a step or a drift."""
 _DECAY_STEPS = 30.0
@@ -335,6 +338,6 @@ def base_start_with_shocks(data: Data, theta: Floats, rate_per_s: float, sd: flo
             *base_box(data),
             (log(0.1 / span), log(0.5 / step)),
             (log(0.3), log(1e6)),
-            (log(0.2 * step), log(max(_SLOWEST_DECAY * span, _DECAY_STEPS * step))),
+            (log(_FASTEST_DECAY * step), log(max(_SLOWEST_DECAY * span, _DECAY_STEPS * step))),
         ),
     )

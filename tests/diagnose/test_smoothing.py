@@ -8,9 +8,10 @@ from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
 from aemd.diagnose.climb import densities
+from aemd.diagnose.fit import begin_with, fit_base
 from aemd.diagnose.hypothesis import Base, base_box, make_data
 from aemd.diagnose.terms.noise import Smoothing
-from tests.diagnose.plant import INTERVAL_S, series
+from tests.diagnose.plant import INTERVAL_S, markov, series
 
 KEPT = 0.7
 
@@ -45,3 +46,17 @@ def test_a_reading_of_which_an_interval_is_known_is_never_more_than_certain():
     each = densities([Base(theta[:6], shocks=False, box=base_box(data)), Smoothing(KEPT, 0.0)], theta, data)
 
     assert each == pytest.approx(0.0, abs=1e-3)
+
+
+def test_the_search_for_a_smoothing_among_loud_shocks_begins_where_it_is_likely():
+    """From there a few steps lead to the top; from the spectrum of the shocks themselves they lead nowhere."""
+    n = 1_500
+    rng = np.random.default_rng(12)
+    marks = 40.0 * (rng.random(n) < 0.004) * rng.standard_normal(n)
+    y = markov(rng, n, 5.0, 3.0) + rng.standard_normal(n) + lfilter([1], [1, -np.exp(-INTERVAL_S / 0.5)], marks)
+    fit = fit_base(make_data(series(1e-3 * lfilter([0.5], [1, -0.5], y))))
+    term = Smoothing(0.4, 0.0)
+    begun = densities([*fit.terms, term], begin_with(fit, term)[0], fit.data).sum()
+
+    assert fit.base.shocks
+    assert begun > fit.log_likelihood - 0.05 * n
