@@ -91,9 +91,11 @@ class HeldOut:
 
     def _score_readings(self, terms: tuple[Term, ...], theta: Floats, test: NDArray[np.bool_]) -> float:
         """Return the sum of the log densities of these readings, at numbers fitted to those of the others."""
-        there, start = _placed_anew(terms, theta, self._data, ~test)
-        found = climb_on(there, start, self._data, ~test)
-        return float(densities(there, found, self._data)[test].sum())
+        best = -np.inf, 0.0
+        for there, start in ((terms, theta), *_placed_anew(terms, theta, self._data, ~test)):
+            each = densities(there, climb_on(there, start, self._data, ~test), self._data)
+            best = max(best, (float(each[~test].sum()), float(each[test].sum())))
+        return best[1]
 
     def _in_fold(self, differences: Floats, fold: int) -> Floats:
         """Sum over each test block and the training block behind it, whose densities it changes."""
@@ -103,25 +105,25 @@ class HeldOut:
 
 def _placed_anew(
     terms: tuple[Term, ...], theta: Floats, data: Data, train: NDArray[np.bool_]
-) -> tuple[tuple[Term, ...], Floats]:
+) -> list[tuple[tuple[Term, ...], Floats]]:
     """Return the hypothesis with each step where it is the largest to these readings' residuals, and where fits begin.
 
-    It stays where it is found by all readings if these do not tell the two places apart.
+    None if these do not tell the places apart from those that all readings told. Where a step is so large that it was
+    taken for a shock, the residuals without it do not show its place: which is likelier to these readings, fits tell.
     """
+    moved, parts = list(terms), split(terms, theta)
     for number, term in enumerate(terms):
         if not isinstance(term, Step):
             continue
-        parts = split(terms, theta)
         rest = [at for at in range(len(terms)) if at != number]
-        left = residuals([terms[at] for at in rest], np.concatenate([parts[at] for at in rest]), data)
+        left = residuals([moved[at] for at in rest], np.concatenate([parts[at] for at in rest]), data)
         scores, size = step_scores(left, train & data.used)
         at, own = int(np.argmax(np.abs(scores))), int(np.searchsorted(data.t_s, term.time_s - data.interval_s / 2))
         if scores[at] ** 2 - scores[min(own, scores.size - 1)] ** 2 <= 2 * _AS_LIKELY:
             continue
         parts[number] = np.array([scores[at] / size[at]])
-        moved = replace(term, time_s=float(data.t_s[at]))
-        terms, theta = (*terms[:number], moved, *terms[number + 1 :]), np.concatenate(parts)
-    return terms, theta
+        moved[number] = replace(term, time_s=float(data.t_s[at]))
+    return [] if moved == list(terms) else [(tuple(moved), np.concatenate(parts))]
 
 
 def block_of(data: Data, terms: Sequence[Term]) -> float:

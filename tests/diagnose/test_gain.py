@@ -46,3 +46,16 @@ def test_the_largest_step_of_records_without_one_is_worth_little_on_other_readin
     assert np.mean(fitted) > 4
     assert np.mean(gained) < 0.4 * np.mean(fitted)
     assert min(gained) < 0
+
+
+def test_a_step_that_the_base_takes_for_a_shock_is_worth_much_on_other_readings():
+    """Without it the filter follows in a reading; where the residuals then show a step best is not where it is."""
+    there = times(N) > 50.0
+    less = fit_base(make_data(series(clean(3, N, white=0.2, shocks_per_s=0.05, shock_sd=15.0) + 25e-3 * there)))
+    step = Step(float(times(N)[np.argmax(there)]), 25e-3 / less.data.unit_V, 0.0)
+    more = refit([*less.terms, step], less.data, np.append(less.theta, step.size))
+    held = HeldOut(less.data, block_of(less.data, [step]), more.each)
+    before, after = (held.score(of.terms, of.theta, forward=False) for of in (less, more))
+
+    assert less.base.shocks
+    assert measure_gain(before, after, N).nats_total > 0.5 * (more.log_likelihood - less.log_likelihood)
