@@ -151,6 +151,21 @@ def test_stamps_of_a_host_scatter_and_those_rounded_to_a_millisecond_do_not():
     assert causes(series(clean(8), time_s=np.round(times(), 3), **logged)) == []
 
 
+def test_the_interval_of_a_scatter_knows_that_late_stamps_are_not_normal():
+    """The variance of a mean square of n numbers is their fourth moment less the second's square, over n; half-normal
+    ones have an excess kurtosis of 8 (pi - 3) / (pi - 2)^2, and that their differences share stamps adds 1 to it."""
+    late_s = 4e-3 * np.abs(np.random.default_rng(81).standard_normal(N))
+    (defect,) = check_raw(
+        series(clean(8), time_s=times() + late_s, numbered=False, nominal_interval_s=0.0),
+        SD_V,
+    )
+    sd = defect.parameters["sd_s"]
+    excess = 8 * (np.pi - 3) / (np.pi - 2) ** 2
+
+    assert sd.low < 4e-3 * np.sqrt(1 - 2 / np.pi) < sd.high
+    assert (sd.high - sd.low) / 4 / sd.value == pytest.approx(np.sqrt((3 + excess) / (4 * N)), rel=0.05)
+
+
 def test_an_interval_off_by_a_thousandth_is_a_clock_error():
     (defect,) = check_raw(series(clean(9), nominal_interval_s=INTERVAL_S / 1.001), SD_V)
 
