@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from aemd.diagnose.hypothesis import Base, Data, Parts, Seen, Term
 from aemd.diagnose.kernels import log_densities, telegraph_densities
+from aemd.diagnose.sharpened import quieted, sharpened
 
 __all__ = [
     "HOPELESS",
@@ -21,7 +22,6 @@ __all__ = [
     "race",
     "readings_scores",
     "score_log_likelihood",
-    "sharpened",
     "split",
 ]
 
@@ -96,7 +96,7 @@ def assemble(
     states = np.array(parts.states, np.float64).reshape(-1, 6)  # of white noise alone there is none
     seen = sharpened(data, parts.kept)
     if parts.kept > 0:
-        parts.noise_var = parts.noise_var * _quieted(data, parts.kept)
+        parts.noise_var = parts.noise_var * quieted(data, parts.kept)
     if parts.undo is not None:
         seen = parts.undo(seen)
     bounds = () if seen.low is None else (seen.low, seen.high)
@@ -104,42 +104,6 @@ def assemble(
     extras = np.concatenate((parts.extras, np.array(parts.tails).ravel()))
     arguments = (parts.mean, parts.noise_var, parts.scale, states, shocks, extras, *bounds)
     return seen, parts, arguments
-
-
-def sharpened(data: Data, kept: float) -> Seen:
-    """Return the readings before a smoothing.
-
-    After a gap of m readings a mean of them stands for the last, the share kept^m of the one before the gap taken off;
-    the first reading of all stands for itself.
-    """
-    if kept == 0.0:
-        return Seen(data.y, data.low, data.high, 0.0)
-    share, last = _shares(data, kept)
-
-    def sharp(values: Floats) -> Floats:
-        return np.asarray((values - share * data.y[last]) / (1 - share))
-
-    low, high = (None if values is None else sharp(values) for values in (data.low, data.high))
-    # An interval has a probability, which no slope changes.
-    dense = data.used if low is None or high is None else data.used & ~(high > low)
-    return Seen(sharp(data.y), low, high, np.where(dense, -np.log1p(-share), 0.0))
-
-
-def _shares(data: Data, kept: float) -> tuple[Floats, NDArray[np.int64]]:
-    """Return how much of the last reading that is used is in each one, and which that is."""
-    last = np.maximum.accumulate(np.where(data.used, np.arange(data.y.size), -1))
-    last = np.concatenate(([-1], last[:-1]))
-    share = np.where(last >= 0, kept ** np.maximum(data.slot - data.slot[last], 1.0), 0.0)
-    return share, last
-
-
-def _quieted(data: Data, kept: float) -> Floats:
-    """Return the variance of white noise in what `sharpened` makes of each reading, over that of one reading.
-
-    Of m readings of variance 1 the mean with weights kept^j, j < m, that sum to 1.
-    """
-    share, last = _shares(data, kept)
-    return np.where(last >= 0, (1 - kept) / (1 + kept) * (1 + share) / (1 - share), 1.0)
 
 
 def score_log_likelihood(terms: Sequence[Term], theta: Floats, data: Data) -> float:

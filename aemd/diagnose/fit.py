@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from aemd.diagnose.climb import Climb, assemble, climb, densities, race, readings_scores, sharpened, split
+from aemd.diagnose.climb import Climb, assemble, climb, densities, race, readings_scores, split
 from aemd.diagnose.hypothesis import Base, Data, Term, base_box, base_start_with_shocks
 from aemd.diagnose.kernels import follow_telegraph, predict, whiten
-from aemd.diagnose.starts import spectral_starts, usual_starts, without_jumps
+from aemd.diagnose.sharpened import sharpened
+from aemd.diagnose.starts import spectral_starts, usual_starts, with_drift, without_jumps
 from aemd.diagnose.terms.events import Popcorn
 from aemd.diagnose.terms.noise import DifferenceNoise, Smoothing
 
@@ -144,7 +145,7 @@ def fit_base(data: Data) -> Fit:
         return race([Climb([Base(start, shocks=False, box=box)], start, data) for start in thetas], steps_for(data))[0]
 
     first = from_these(starts)
-    best = max(first, from_these([_with_drift(first.theta, data)]), key=lambda one: one.value).theta
+    best = max(first, from_these([with_drift(first.theta, data)]), key=lambda one: one.value).theta
     fit = residuals([Base(best, shocks=False, box=box)], best, data)
     shocked = _with_shocks(fit)
     if shocked is None or shocked.log_likelihood < fit.log_likelihood + _SHOCK_GAIN:
@@ -215,17 +216,7 @@ def _begun_anew(theta: Floats, data: Data) -> list[Floats]:
     """
     calm = theta.copy()
     calm[:5] = _fit_calm(without_jumps(data)[0])[:5]
-    return [calm, _with_drift(theta, data)]
-
-
-def _with_drift(theta: Floats, data: Data) -> Floats:
-    """Return a start with a slow drift beside the signal: the larger of the two processes becomes the signal."""
-    start = theta.copy()
-    if theta[3] + theta[2] / 2 > theta[1] + theta[0] / 2:
-        start[:2] = theta[2:4]
-    start[2] = log(data.span_s / 5)
-    start[3] = start[1] + log(0.1)
-    return start
+    return [calm, with_drift(theta, data)]
 
 
 def _best_decay(data: Data, few: Data, start: Floats, per_s: float, size: float) -> Climb:

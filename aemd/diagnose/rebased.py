@@ -6,7 +6,7 @@ its time constant is anything, and directions that the checks take for used up w
 that is not overwhelming, the base is fitted from where such tops are.
 """
 
-from math import log, sqrt
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from aemd.diagnose.checks.tails import gain_of_tails
 from aemd.diagnose.climb import Climb, race
 from aemd.diagnose.fit import Fit, residuals, steps_for
 from aemd.diagnose.hypothesis import Base, base_start_with_shocks
+from aemd.diagnose.starts import with_drift
 
 __all__ = ["rebased"]
 
@@ -47,7 +48,7 @@ def rebased(fit: Fit, *, tails: bool) -> list[Fit]:
     if not isinstance(fit.terms[0], Base):
         return []
     steps = steps_for(fit.data)
-    (drifting,) = race([Climb(fit.terms, _with_drift(fit), fit.data)], steps)
+    (drifting,) = race([Climb(fit.terms, with_drift(fit.theta, fit.data), fit.data)], steps)
     found = [drifting] if drifting.value > fit.log_likelihood - _AS_GOOD else []
     if tails and len(fit.terms) == 1 and not fit.terms[0].shocks and fit.data.n <= _LONG:
         struck = _best_struck(fit)
@@ -58,15 +59,6 @@ def rebased(fit: Fit, *, tails: bool) -> list[Fit]:
             found.append(struck)
     found.sort(key=lambda one: -one.value)
     return [residuals(one.terms, one.theta, fit.data) for one in found if abs(one.value - fit.log_likelihood) > _SAME]
-
-
-def _with_drift(fit: Fit) -> Floats:
-    """Return a start with the larger of the two processes as the signal, and beside it a slow drift."""
-    theta = fit.theta.copy()
-    if theta[3] + theta[2] / 2 > theta[1] + theta[0] / 2:
-        theta[:2] = theta[2:4]
-    theta[2], theta[3] = log(fit.data.span_s / 5), theta[1] + log(0.1)
-    return theta
 
 
 def _best_struck(fit: Fit) -> Climb:

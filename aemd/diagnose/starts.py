@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 
 from aemd.diagnose.hypothesis import Data
 
-__all__ = ["spectral_starts", "usual_starts", "without_jumps"]
+__all__ = ["spectral_starts", "usual_starts", "with_drift", "without_jumps"]
 
 Floats = NDArray[np.float64]
 
@@ -103,6 +103,16 @@ def without_jumps(data: Data) -> tuple[Data, float, float]:
         return data, 0.0, 0.0
     size = float(np.sqrt(np.mean(change[first] ** 2)))
     return replace(data, y=calm), int(np.count_nonzero(first)) / data.span_s, size
+
+
+def with_drift(theta: Floats, data: Data) -> Floats:
+    """Return a start with a slow drift beside the signal: the larger of the two processes becomes the signal."""
+    start = theta.copy()
+    if theta[3] + theta[2] / 2 > theta[1] + theta[0] / 2:
+        start[:2] = theta[2:4]
+    start[2] = log(data.span_s / 5)
+    start[3] = start[1] + log(0.1)
+    return start
 
 
 def _usual_change(change: Floats) -> float:
