@@ -7,17 +7,17 @@ import numpy as np
 
 @dataclass
 class Counted:
-    """A wave that counts how often it is asked for, and whether over all readings."""
+    """A wave that counts how often it is asked for, and over how many readings."""
 
     cost_nats: float
     cause: str
-    asked: list[bool] = field(default_factory=list)
+    asked: list[int] = field(default_factory=list)
 
     start = np.zeros(1)
     bounds = ((-10.0, 10.0),)
 
     def add(self, theta, data, parts):
-        self.asked.append(data.sample is None)
+        self.asked.append(data.n)
         parts.mean += theta[0] * np.sin(data.t_s)
 
     def parameters(self, data):
