@@ -32,7 +32,7 @@ _WORDS = {
     ("quantisation", "ratio"): "step over what is new in a reading",
     ("changing_noise", "ratio"): "noise then over noise elsewhere",
     ("ring_down", "ratio"): "first swing over the shock",
-    ("clock_error", "ratio"): "interval over the nominal one",
+    ("clock_error", "ratio"): "interval over the nominal one, or over its quickest",
     ("range_switching", "level_V"): "wider range from",
     ("range_switching", "sd_V"): "noise added there",
 }
