@@ -26,7 +26,7 @@ from aemd.diagnose.fit import Fit, begin_with, residuals, steps_for
 from aemd.diagnose.hypothesis import Data, Term
 from aemd.diagnose.terms.events import Popcorn
 from aemd.diagnose.terms.lines import Sines, WanderingLine, amplitude_cost, fold
-from aemd.diagnose.terms.noise import ChangingNoise, Resonance, SignalDependentNoise
+from aemd.diagnose.terms.noise import ChangingNoise, HeavyTails, Resonance, SignalDependentNoise
 
 __all__ = ["NOT_WHITE", "Named", "acts_throughout", "is_coloured", "name"]
 
@@ -175,6 +175,8 @@ def _does_not_fit(before: Fit, after: Fit) -> str:
         return "which would swing at random, and some lines beside each other explain more"
     if isinstance(term, Popcorn) and _visits(theta, span_s) < _LEAST_TURNS:
         return "which would jump again and again, and the record holds less than three visits"
+    if isinstance(term, HeavyTails) and exp(theta[0]) * np.count_nonzero(after.data.used) < _LEAST_TURNS:
+        return "which would come again and again, and the record holds less than three readings of it"
     if is_coloured(after, term):
         return NOT_WHITE
     return ""

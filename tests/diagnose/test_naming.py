@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import norm
 
 from aemd.diagnose.checks.witnessed import gains_like_noise
-from aemd.diagnose.fit import fit_base
+from aemd.diagnose.fit import fit_base, refit, residuals
 from aemd.diagnose.hypothesis import Base, base_box, make_data
-from aemd.diagnose.naming import _left_out
-from aemd.diagnose.terms.noise import SignalDependentNoise
+from aemd.diagnose.naming import _does_not_fit, _left_out
+from aemd.diagnose.terms.noise import HeavyTails, SignalDependentNoise
 from aemd.diagnose.terms.shapes import Nonlinearity
 from tests.diagnose.plant import INTERVAL_S, N, clean, series
 
@@ -71,3 +71,24 @@ def test_of_readings_about_nothing_the_noise_tells_how_a_gain_follows_the_supply
     (gain,) = gains_like_noise(fit)
 
     assert gain.coefficient == pytest.approx(0.4, abs=0.12)
+
+
+@pytest.mark.parametrize(("outliers", "refused"), [(2, True), (12, False)])
+def test_outliers_that_come_twice_are_no_law(outliers, refused):
+    """The deviation of what such have more is hardly known: of two it is open from half to six times (chi-square law)."""
+    n = 1_000
+    rng = np.random.default_rng(43)
+    y = rng.standard_normal(n)
+    y[rng.choice(n, outliers, replace=False)] += np.where(np.arange(outliers) % 2, 14.0, -11.0)
+    data = make_data(series(1e-3 * y))
+    unit = data.unit_V / 1e-3
+    still = np.array([np.log(INTERVAL_S), -12.0, np.log(60.0), -12.0, -np.log(unit), 0.0])
+    base = Base(still, shocks=False, box=tuple((value, value) for value in still))
+    term = HeavyTails(0.01, 10 / unit, 0.0)
+
+    found = refit([base, term], data)
+    why = _does_not_fit(residuals([base], base.start, data), found)
+
+    assert np.exp(found.theta[-2]) * n == pytest.approx(outliers, rel=0.4)
+    assert why.startswith("which would come again and again") == refused
+    assert bool(why) == refused
