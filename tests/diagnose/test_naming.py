@@ -75,7 +75,7 @@ def test_of_readings_about_nothing_the_noise_tells_how_a_gain_follows_the_supply
 
 @pytest.mark.parametrize(("outliers", "refused"), [(2, True), (12, False)])
 def test_outliers_that_come_twice_are_no_law(outliers, refused):
-    """The deviation of what such have more is hardly known: of two it is open from half to six times (chi-square law)."""
+    """The deviation of what such have more is hardly known: of two it is open from half to six times (chi-square)."""
     n = 1_000
     rng = np.random.default_rng(43)
     y = rng.standard_normal(n)
