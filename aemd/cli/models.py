@@ -113,7 +113,7 @@ def diagnose(
     html: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Write the report as one page with pictures.")
     ] = None,
-    line_frequency: Annotated[float | None, typer.Option(min=0.0, help="Of the mains, Hz, where it is known.")] = None,
+    line_frequency: Annotated[float | None, typer.Option(min=1.0, help="Of the mains, Hz, where it is known.")] = None,
     topic: Topic = None,
     field: Field = None,
     time: TimeOf = None,

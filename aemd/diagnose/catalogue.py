@@ -70,8 +70,8 @@ EXPERIMENTS: Mapping[str, str] = {
     "signal_dependent_noise": "record at two input levels: this noise grows with the level, others do not",
     "heavy_tails": "record a short circuit with the same cable: outliers that remain are the meter's",
     "step": "look in the log book at that time; reseat the connector and see whether the level returns",
-    "thermal_drift": "change the witness, a room by 5 degrees, and let it go back: the reading follows with this lag, "
-    "or it does not",
+    "thermal_drift": "change the witness (of a room, by 5 degrees) and let it go back: the reading follows with this "
+    "lag, or it does not",
     "warmup_drift": "switch off for an hour, then on again: the same decay comes back, or it was the input",
     "supply_coupling": "change the witness by a known amount at a constant input",
     "nonlinearity": "apply three known levels, evenly spaced: a straight scale keeps their distances equal",

@@ -41,11 +41,8 @@ def hidden(
         held = np.zeros(dropped.size, bool) if defect.dropped is None else defect.dropped & series.used
         match defect.cause:
             case "saturation":
-                level = defect.parameters["level_V"].value
-                if level >= float(np.nanmax(series.value_V)):
-                    high[held] = np.inf
-                else:
-                    low[held] = -np.inf
+                upper = held & (series.value_V > np.nanmedian(series.value_V))
+                high[upper], low[held & ~upper] = np.inf, -np.inf
             case "dead_band":
                 level, half = defect.parameters["level_V"].value, defect.parameters["width_V"].value / 2
                 low[held], high[held] = level - half, level + half

@@ -37,7 +37,7 @@ _WORDS = {
     ("range_switching", "sd_V"): "noise added there",
 }
 """Of parameters whose name does not say what they are of."""
-_SURE = 1e-300
+_SURE = 1e-290
 """What p-values are not told below."""
 _MANY = 1e4
 """From here on numbers are written out, with their thousands apart."""
@@ -136,7 +136,9 @@ def _finding(finding: Finding) -> tuple[str, str]:
     elif len(finding.names) == 1:
         what = f"Consistent with {_call(finding)}"
     else:
-        others = " or ".join("something unexplained" if n == "unexplained" else _plain(n) for n in finding.names[1:])
+        others = " or ".join(
+            "something unexplained" if n == "unexplained" else n.replace("_", " ") for n in finding.names[1:]
+        )
         what = f"Consistent with {_call(finding)} ({finding.probability:.0%}), not told apart from {others}"
         what += f" {finding.remark}" if "unexplained" in finding.names else _longer(finding)
     evidence = "certain" if finding.p_value == 0 else f"{_probability(finding.p_value)} over all places it was sought"
@@ -180,7 +182,7 @@ def _call(finding: Finding) -> str:
         harmonic = finding.parameters["alias_hz"].value / finding.parameters["mains_hz"].value
         if round(harmonic) > 0 and abs(harmonic - round(harmonic)) < _TIMES_A_FREQUENCY:
             return f"hum of the mains at {round(harmonic)} times its frequency" if round(harmonic) > 1 else "mains hum"
-    return _plain(finding.cause)
+    return finding.cause.replace("_", " ")
 
 
 def _longer(finding: Finding) -> str:
@@ -192,10 +194,10 @@ def _longer(finding: Finding) -> str:
 
 
 def _plain(name: str) -> str:
-    """Return a parameter's or mechanism's name in words, without its unit.
+    """Return a parameter's name in words, without its unit.
 
-    >>> _plain("coefficient_V_per_C"), _plain("chirp_hz_per_s"), _plain("mains_alias"), _plain("amplitude_2_V")
-    ('coefficient', 'chirp', 'mains alias', '2nd harmonic')
+    >>> _plain("coefficient_V_per_C"), _plain("chirp_hz_per_s"), _plain("amplitude_2_V")
+    ('coefficient', 'chirp', '2nd harmonic')
     """
     harmonic = re.match(_HARMONIC, name)
     if harmonic:

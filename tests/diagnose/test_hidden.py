@@ -25,3 +25,15 @@ def test_what_rounds_coarsely_has_no_companions():
     told = criticise(series(np.round(value / 2e-3) * 2e-3))
 
     assert [finding.cause for finding in told.findings] == ["quantisation"]
+
+
+def test_what_is_clipped_was_above_the_upper_end_or_below_the_lower_one():
+    value = clean(6, 2_000)
+    low, high = np.quantile(value, [0.03, 0.96])
+    made = series(np.clip(value, low, high))
+    dropped, interval = hidden(made, check_raw(made, 1e-3), frozenset(), rounded=False)
+
+    assert not dropped.any()
+    assert interval is not None
+    np.testing.assert_array_equal(interval[0] == -np.inf, value <= low)
+    np.testing.assert_array_equal(interval[1] == np.inf, value >= high)

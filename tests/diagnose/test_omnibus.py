@@ -137,3 +137,11 @@ def test_an_echo_is_told_as_such():
 
     assert finding.names == ("unexplained",)
     assert f"{30 * INTERVAL_S:.3g} s later" in finding.experiment
+
+
+@pytest.mark.parametrize("n", [100, 144])
+def test_the_shortest_records_that_are_judged_have_nothing_outside_the_catalogue(n):
+    """They are too short for the narrowest hump, and for the shortest track."""
+    short = fit_base(make_data(series(clean(9, n))))
+
+    assert min(check(short).p_value for check in CHECKS) > ACTED_ON

@@ -64,7 +64,7 @@ def check_tracks(fit: Fit) -> Evidence:
     p_value, most, count, words = min(tries)
     return Evidence(
         check="strongest tone for a while in the residuals: power over its mean",
-        p_value=min(1.0, p_value * trials),
+        p_value=min(1.0, p_value * max(trials, 1.0)),
         observed=most / count,
         low=1.0,
         high=float(gammainccinv(count, 0.025 / max(trials, 1.0))) / count,

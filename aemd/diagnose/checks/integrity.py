@@ -258,6 +258,7 @@ def saturation(series: Series, q_V: float, innovation_sd_V: float) -> Defect | N
         p_value=0.0 if overloads else float(np.exp(max(log_p, -690.0))),
         parameters={
             "level_V": exact(level, "V"),
+            **({"other_level_V": exact(max(ends)[1], "V")} if len(ends) > 1 else {}),
             "fraction": exact(float(clipped.mean()), ""),
         },
         experiment="take the next range for a minute: the readings go beyond the level if the range cut them",

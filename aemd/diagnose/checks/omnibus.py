@@ -59,12 +59,12 @@ def check_hump(fit: Fit) -> Evidence:
         crossings.append(n * sqrt(float(np.sum(np.diff(bell, prepend=0.0) ** 2)) / float(energy[-1])) / pi)
         alone, width = alone + 1, width * _WIDER
     score, at, width = best
-    p_value = _rice(score, sum(crossings), alone)
+    p_value = _rice(score, sum(crossings), alone) if alone else 1.0
     terms: tuple[Hump, ...] = ()
     centre = min(at + round(4 * width), n - 1)
     if p_value < _WORTH_A_LOOK:
         score, size = _beyond_a_shock(fit, step, at, width)
-        p_value = _rice(score, sum(crossings), alone)
+        p_value = _rice(score, sum(crossings), alone) if alone else 1.0
         cost = amplitude_cost(1, fit.data.n) + log(n / width) + log(alone)
         terms = (Hump(float(fit.data.t_s[centre]), width * fit.data.interval_s, size, cost),)
     return Evidence(

@@ -3,6 +3,7 @@
 from math import sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr
 from scipy.stats import norm
 
@@ -10,12 +11,22 @@ from aemd.diagnose.checks.lattice import find_lattice
 from aemd.diagnose.evidence import Defect
 from aemd.diagnose.result import Value, exact
 from aemd.diagnose.series import OVERLOAD, Series
+from aemd.tables.grid import jumps_for_good, scatter
 
 __all__ = ["clock_error", "missing_samples", "timestamp_jitter"]
+
+Floats = NDArray[np.float64]
 
 _JITTER = 0.01
 """Scatter of the stamps, in intervals, from which it is reported: at 1 % the fastest swing that 15 readings/s can
 follow is off by 3 % of its amplitude."""
+_LATE = 3
+"""Times what most stamps scatter by: what all do is more only where some come late by far."""
+_KNOWN = 0.2
+"""Error of a standard deviation, of itself, above which the late stamps are too few to tell it."""
+_CORE_ERROR = 1.3
+"""Times 1/sqrt(n): error of a normal law's standard deviation by the median of its absolute differences; that by their
+squares is sqrt(3) / 2."""
 _CLOCK = 1e-4
 """Deviation of the interval from the nominal one that is reported; a bench meter's timer keeps 1e-5."""
 _EIGHTHS = 8
@@ -31,6 +42,7 @@ def missing_samples(series: Series) -> Defect | None:
         return None
     counted = series.numbered and lost <= int(series.index[-1] - series.index[0]) + 1 - series.index.size
     known = "the readings' numbers" if counted else "the time stamps"
+    look = f"{known} show it; look for a stalled host or a full buffer at the first gap, and for its period"
     return Defect(
         cause="missing_samples",
         p_value=0.0,
@@ -39,7 +51,9 @@ def missing_samples(series: Series) -> Defect | None:
             "gaps": exact(gaps, ""),
             "fraction": exact((lost + invalid) / (lost + series.index.size), ""),
         },
-        experiment=f"{known} show it; look for a stalled host or a full buffer at the first gap, and for its period",
+        experiment=look
+        if lost
+        else "their places are kept and have no value; ask what writes the file when it does so",
         check="readings missing",
         observed=lost + invalid,
         expected=0,
@@ -51,30 +65,46 @@ def timestamp_jitter(series: Series) -> Defect | None:
     grid = series.slot
     slope, start = np.polyfit(grid, series.time_s, 1)
     left = series.time_s - (start + slope * grid)
-    # Against a running mean, so that a clock that wanders is not taken for one that jitters.
-    jitter = np.diff(left)
-    sd = 1.4826 * float(np.median(np.abs(jitter - np.median(jitter)))) / sqrt(2)
-    plain = float(np.std(jitter)) / sqrt(2)
-    kurtosis = 0.0
-    if plain < 3 * sd:  # a clock that was set once is not scatter
-        sd, kurtosis = plain, 2 * float(np.mean((jitter - jitter.mean()) ** 4) / np.var(jitter) ** 2 - 3)
-    digits = find_lattice(series.time_s)
-    rounding = digits / sqrt(12)
-    if sd < _JITTER * series.interval_s or sd < 2 * rounding:
+    # Of differences, so that a clock that wanders is not taken for one that jitters; nor is one that was set.
+    jitter = np.diff(left)[~jumps_for_good(left / series.interval_s)]
+    core = scatter(jitter)
+    whole = float(np.std(jitter)) / sqrt(2)
+    rounding = find_lattice(series.time_s) / sqrt(12)
+    seen = whole if whole < _LATE * core else core
+    if seen < _JITTER * series.interval_s or seen < 2 * rounding:
         return None
-    worst = float(np.abs(left).max())
-    sd = sqrt(max(sd**2 - rounding**2, 0.0))
-    # Neighbouring differences share a stamp, of whose law they have half the excess kurtosis.
-    error = sd * sqrt((3 + kurtosis) / (4 * series.index.size))
+    sd = _spread(jitter, core, whole, rounding)
     return Defect(
         cause="timestamp_jitter",
-        p_value=float(norm.sf(min(sd / max(rounding, 1e-12), 37.0))),
-        parameters={"sd_s": Value(sd, sd - 2 * error, sd + 2 * error, "s"), "worst_s": exact(worst, "s")},
+        p_value=float(norm.sf(min(sd.value / max(rounding, 1e-12), 37.0))),
+        parameters={"sd_s": sd, "worst_s": exact(float(np.abs(left).max()), "s")},
         experiment="let the meter's own timer pace and number the readings; stamps given by a host scatter as it does",
         check="scatter of the time stamps about their grid, intervals",
-        observed=sd / series.interval_s,
+        observed=sd.value / series.interval_s,
         expected=_JITTER,
     )
+
+
+def _spread(jitter: Floats, core: float, whole: float, rounding: float) -> Value:
+    """Return the standard deviation of the stamps, s, from their differences.
+
+    Where so few stamps come so late that nobody knows how late the next ones come, it is that of the others, and may be
+    as large as that of all.
+
+    Args:
+        jitter: differences, s.
+        core: what most stamps scatter by, s.
+        whole: what all do, s.
+        rounding: the part of it that the stamps' digits make, s.
+    """
+    # Neighbouring differences share a stamp, of whose law they have half the excess kurtosis.
+    kurtosis = 2 * float(np.mean((jitter - jitter.mean()) ** 4) / np.var(jitter) ** 2 - 3)
+    error = sqrt(max(3 + kurtosis, 0.0) / (4 * jitter.size))
+    value = sqrt(max(whole**2 - rounding**2, 0.0))
+    if whole < _LATE * core or error < _KNOWN:
+        return Value(value, value * (1 - 2 * error), value * (1 + 2 * error), "s")
+    inner = sqrt(max(core**2 - rounding**2, 0.0))
+    return Value(inner, inner * (1 - 2 * _CORE_ERROR / sqrt(jitter.size)), value * (1 + 2 * error), "s")
 
 
 def clock_error(series: Series) -> Defect | None:
