@@ -27,7 +27,7 @@ from aemd.diagnose.result import Diagnosis, Discrepancy, Finding, Verdict
 from aemd.diagnose.search import search
 from aemd.diagnose.series import Series, load_series
 from aemd.diagnose.steadiness import compare_allan
-from aemd.diagnose.translate import as_tables, to_model
+from aemd.diagnose.translate import Told, as_tables, to_model
 from aemd.simulate import read_model
 
 __all__ = ["criticise", "diagnose"]
@@ -82,6 +82,7 @@ def criticise(
     tell("measuring gains on held-out blocks")
     judged = judge_all(searched, [defect for defect in defects if defect.cause not in expected])
     base, fit, spread = searched.base, judged.fit, judged.spread
+    told = _told(fit, spread)
     return Diagnosis(
         verdict=_verdict(judged.findings),
         n=int(np.count_nonzero(series.used)),
@@ -92,10 +93,10 @@ def criticise(
             + [Discrepancy(e.check, e.observed, e.low, e.high, e.p_value) for e in searched.seen]
             + [item for number in range(len(fit.terms)) for item in compare_figures(fit, number, spread)]
         ),
-        base_model=_tables(base, series.aperture_s, spread if base is fit else covariance(base)),
-        extended_model=_tables(fit, series.aperture_s, spread),
+        base_model=_tables(base, series.aperture_s, told if base is fit else _told(base, covariance(base))),
+        extended_model=_tables(fit, series.aperture_s, told),
         allan=compare_allan(base, fit),
-        promise=promise(base, fit, spread, series.aperture_s) if len(fit.terms) > len(base.terms) else None,
+        promise=promise(base, fit, spread, series.aperture_s, told) if len(fit.terms) > len(base.terms) else None,
         left_out=series.left_out,
         path=series.path,
         seconds=time.perf_counter() - begun,
@@ -118,15 +119,19 @@ def _verdict(findings: tuple[Finding, ...]) -> Verdict:
     return "unexplained" if any(item.cause == "unexplained" for item in findings) else "explained"
 
 
-def _tables(fit: Fit, aperture_s: float, spread: Floats) -> dict[str, Any]:
+def _told(fit: Fit, spread: Floats) -> Told:
+    """Return what is reported of each term, by its number."""
+    return {number: describe(fit, number, spread) for number in range(len(fit.terms))}
+
+
+def _tables(fit: Fit, aperture_s: float, told: Told) -> dict[str, Any]:
     """Return a fit as the catalogue's model, and its parameters with their intervals."""
-    made, without = to_model(fit, aperture_s)
+    made, without = to_model(fit, aperture_s, told)
     return {
         **as_tables(made),
         "aperture_s": aperture_s,
         "without_term": list(without),
         "parameters": {
-            ("base" if number == 0 else f"{number}_{term.cause}"): describe(fit, number, spread)
-            for number, term in enumerate(fit.terms)
+            ("base" if number == 0 else f"{number}_{term.cause}"): told[number] for number, term in enumerate(fit.terms)
         },
     }

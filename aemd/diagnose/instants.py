@@ -43,10 +43,15 @@ _PAIRS = 64
 _DECAYS, _PITCHES = 7, 11
 """Steps to each side of the fit's, in so many of its deviations: one angle for all shocks makes the pitch look better
 known than it is."""
-_DECAY_STRIDE, _PITCH_STRIDE = 0.55, 0.6
-_GRIDS, _CENTRED = 3, 0.4
+_STRIDES = np.array([0.55, 0.6])
+"""Deviations of decay and pitch."""
+_GRIDS, _CENTRED = 12, 0.4
 """Grids at most, one about the middle of what the last one told, as long as that is so far from its own, in parts of
-its reach."""
+its reach. A strong ring is fitted far too short by a wave of one angle, and the fit's deviations know nothing of it."""
+_WIDER, _FINER = 2.0, 0.25
+"""Times the last stride: where a grid ended at its edge, and at least where what it tells is in few of its cells."""
+_FEW = 0.8
+"""Strides of deviation from which it is not; a cell's own width then adds 6 % to it."""
 _MOST_DOUBT = 0.7
 """Of the logarithm of the shocks' own decay; where that is shorter than an interval, nothing is known of it."""
 _LOUDEST = 2.0
@@ -121,29 +126,29 @@ def rings(fit: Fit, number: int, spread: Floats) -> Mapping[str, Floats] | None:
     rng = np.random.default_rng(0)
     begin = sum(one.start.size for one in fit.terms[:number])
     sds = np.sqrt(np.maximum(np.diag(spread)[begin : begin + 2], 0.0))
-    strides = (
-        _DECAY_STRIDE * float(np.clip(sds[0], 0.1, 0.5)),
-        _PITCH_STRIDE * max(float(sds[1]) / term.decay_s, 1e-4),
-    )
+    strides = _STRIDES * (float(np.clip(sds[0], 0.1, 0.5)), max(float(sds[1]) / term.decay_s, 1e-4))
     now_hz, now_s = term.frequency_hz + float(theta[1]) / term.decay_s, exp(theta[0])
     base, bare = fit.terms[0], _bare(fit, term, theta, struck)
     doubt = sqrt(max(float(spread[8, 8]), 0.0)) if isinstance(base, Base) and base.shocks else 0.0
     ratio = float(np.hypot(theta[2], theta[3]))
+    told = None
     for _ in range(_GRIDS):
         grid = _grid(fit, struck, bare, (now_hz, now_s), strides)
         tried = _candidates(fit, struck, min(doubt, _MOST_DOUBT), (now_hz, now_s, min(ratio, _RING)), rng)
         ratios, at = _drawn(grid, tried, min(ratio, _LOUDEST), rng)
-        before, ratio = (now_hz, now_s), float(np.median(ratios))
-        now_hz, now_s = float(np.median(grid.frequency_hz[at])), float(np.median(grid.decay_s[at]))
-        moved = abs(now_hz - before[0]) / (_PITCHES * strides[1]), abs(log(now_s / before[1])) / (_DECAYS * strides[0])
-        if max(moved) < _CENTRED:
-            break
-    within = rng.random((2, at.size)) - 0.5
-    return {
-        "frequency_hz": grid.frequency_hz[at] + within[0] * strides[1],
-        "decay_s": grid.decay_s[at] * np.exp(within[1] * strides[0]),
-        "ratio": ratios,
-    }
+        before, ratio = np.array([log(now_s), now_hz]), float(np.median(ratios))
+        drawn = np.array([np.log(grid.decay_s[at]), grid.frequency_hz[at]])
+        middle, spread_here = np.median(drawn, axis=1), drawn.std(axis=1) / strides
+        now_s, now_hz = exp(middle[0]), float(middle[1])
+        centred = np.abs(middle - before) < _CENTRED * np.array([_DECAYS, _PITCHES]) * strides
+        if centred.all():
+            drawn += (rng.random(drawn.shape) - 0.5) * strides[:, None]
+            told = {"frequency_hz": drawn[1], "decay_s": np.exp(drawn[0]), "ratio": ratios}
+            if (spread_here > _FEW).all():
+                break
+        finer = np.where(spread_here > _FEW, 1.0, np.maximum(_STRIDES * spread_here, _FINER))
+        strides = strides * np.where(centred, finer, _WIDER)
+    return told
 
 
 def _struck(fit: Fit) -> _Struck | None:
@@ -192,7 +197,7 @@ def _bare(fit: Fit, term: RingDown, theta: Floats, struck: _Struck) -> Floats:
     return np.asarray(np.where(fit.data.used, left / np.sqrt(struck.variance), 0.0))
 
 
-def _grid(fit: Fit, struck: _Struck, bare: Floats, now: tuple[float, float], strides: tuple[float, float]) -> _Grid:
+def _grid(fit: Fit, struck: _Struck, bare: Floats, now: tuple[float, float], strides: Floats) -> _Grid:
     """Return pairs of pitch and decay about the fit's, `now`, and what readings say of each shock's wave."""
     data, count = fit.data, struck.at.size
     decays = now[1] * np.exp(np.arange(-_DECAYS, _DECAYS + 1) * strides[0])

@@ -19,7 +19,7 @@ from aemd.diagnose.estimator import estimator_for
 from aemd.diagnose.fit import Fit, densities
 from aemd.diagnose.hypothesis import Base, signal_and_drift
 from aemd.diagnose.result import Likely, Promise
-from aemd.diagnose.translate import to_model
+from aemd.diagnose.translate import Told, to_model
 from aemd.errors import ConfigError
 from aemd.estimate.imm import Imm, ImmOptions
 from aemd.model import Model
@@ -60,7 +60,7 @@ _SLOWEST = 2.0
 """Spans of the record: a drift that is slower looks the same."""
 
 
-def promise(base: Fit, extended: Fit, spread: Floats, aperture_s: float) -> Promise | None:
+def promise(base: Fit, extended: Fit, spread: Floats, aperture_s: float, told: Told) -> Promise | None:
     """Return what the extended model's estimator should deliver; none where a model has no input, or no estimator.
 
     Args:
@@ -68,26 +68,27 @@ def promise(base: Fit, extended: Fit, spread: Floats, aperture_s: float) -> Prom
         extended: with it.
         spread: covariance of the extended fit's free numbers.
         aperture_s: of the meter.
+        told: what is reported of the extended fit's terms; see `to_model`.
     """
     try:
-        return _try(base, extended, spread, aperture_s)
+        return _try(base, extended, spread, aperture_s, told)
     except (ValueError, ArithmeticError, ConfigError):  # figures at the end of what a float, or an estimator, takes
         return None
 
 
-def _try(base: Fit, extended: Fit, spread: Floats, aperture_s: float) -> Promise | None:
+def _try(base: Fit, extended: Fit, spread: Floats, aperture_s: float, told: Told) -> Promise | None:
     interval_s, span_s = extended.data.interval_s, extended.data.span_s
     aperture_s = min(aperture_s, interval_s)
     options = list[ImmOptions]()
     for fit in (base, extended):
-        made, _ = to_model(fit, aperture_s)
+        made, _ = to_model(fit, aperture_s, told if fit is extended else {})
         choice, _ = estimator_for(made, interval_s=interval_s, aperture_s=aperture_s, span_s=span_s)
         if choice is None:
             return None
         options.append(choice.options)
     n = min(extended.data.n, _LONGEST)
     tried = [
-        _errors_on(extended, theta, seed, options, n, aperture_s)
+        _errors_on(extended, theta, seed, options, n, aperture_s, told)
         for seed, theta in enumerate(_left_open(extended, spread, np.random.default_rng(1)), start=1)
     ]
     errors_V, nats = np.array([each for each, _ in tried]), np.array([each for _, each in tried])
@@ -105,14 +106,14 @@ def _try(base: Fit, extended: Fit, spread: Floats, aperture_s: float) -> Promise
 
 
 def _errors_on(
-    fit: Fit, theta: Floats, seed: int, options: list[ImmOptions], n: int, aperture_s: float
+    fit: Fit, theta: Floats, seed: int, options: list[ImmOptions], n: int, aperture_s: float, told: Told
 ) -> tuple[Floats, float]:
     """Run the estimators over a history of the model with these figures; with the fit's where no model has them."""
     try:
-        made, _ = to_model(replace(fit, theta=theta), aperture_s)
+        made, _ = to_model(replace(fit, theta=theta), aperture_s, told)
         return errors_of(options, replace(made, seed=seed), n, fit.data.interval_s, aperture_s)
     except (ValueError, ArithmeticError):  # far from the fitted ones
-        made, _ = to_model(fit, aperture_s)
+        made, _ = to_model(fit, aperture_s, told)
         return errors_of(options, replace(made, seed=seed), n, fit.data.interval_s, aperture_s)
 
 

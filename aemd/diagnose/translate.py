@@ -16,6 +16,7 @@ from aemd.diagnose.apertures import averaged_markov, averaged_out, averaged_pair
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.given import Given
 from aemd.diagnose.hypothesis import Base, Parts, signal_and_drift
+from aemd.diagnose.result import Value
 from aemd.diagnose.terms.events import PeriodicGlitch, Popcorn, RingDown, ShockLaw
 from aemd.diagnose.terms.lines import Sines, WanderingLine
 from aemd.diagnose.terms.noise import (
@@ -34,10 +35,11 @@ from aemd.diagnose.terms.shapes import Nonlinearity, ReadingPattern, Step, WarmU
 from aemd.diagnose.terms.stated import OtherFigures
 from aemd.diagnose.terms.witnessed import Latency, SupplyCoupling, ThermalDrift
 
-__all__ = ["as_tables", "to_model"]
+__all__ = ["Told", "as_tables", "to_model"]
 
 Floats = NDArray[np.float64]
 Made = tuple[list[Any], list[Any]]
+Told = Mapping[int, Mapping[str, Value]]
 
 _BLOCKED = 0.05
 """Part of what swings that an aperture must let through for its size before the aperture to mean anything."""
@@ -58,14 +60,16 @@ _A_WALK = 100.0
 """Spans of the record from which a time constant is called infinite."""
 _WITNESSED = (model.ThermalDrift, model.SupplyCoupling)
 """Of each, a model has one, since it is recorded under one name."""
+_NOTHING_TOLD: Told = {}
 
 
-def to_model(fit: Fit, aperture_s: float) -> tuple[model.Model, tuple[str, ...]]:
+def to_model(fit: Fit, aperture_s: float, told: Told = _NOTHING_TOLD) -> tuple[model.Model, tuple[str, ...]]:
     """Return the model that the fit describes, and the causes that the catalogue has no term for.
 
     Args:
         fit: base and terms.
         aperture_s: of the meter that the model is for, s; white noise and lines depend on it.
+        told: what is reported of terms, by their numbers; a ring's figures are not those of its fit (see instants.py).
     """
     terms, effects, without = list[Any](), list[Any](), list[str]()
     for number, term in enumerate(fit.terms):
@@ -97,7 +101,8 @@ def to_model(fit: Fit, aperture_s: float) -> tuple[model.Model, tuple[str, ...]]
         effects += changed
     if isinstance(fit.terms[0], Base):  # in which the fit has them; a stated model's have an order of their own
         effects.sort(key=lambda effect: _ORDER.index(type(effect)) if type(effect) in _ORDER else len(_ORDER))
-    return model.Model(tuple(_struck(terms, fit)), 1, tuple(effects)), tuple(without)
+    terms, unheard = _struck(terms, fit, told)
+    return model.Model(tuple(terms), 1, tuple(effects)), (*without, *unheard)
 
 
 def as_tables(made: model.Model) -> Mapping[str, Any]:
@@ -316,22 +321,35 @@ def _range(term: RangeSwitching, v: Floats, fit: Fit, _: float) -> Made:
     ]
 
 
-def _struck(terms: list[Any], fit: Fit) -> list[Any]:
-    """Return the terms, their shocks with the law and the shape that findings gave them."""
-    changes: dict[str, Any] = {}
-    for number, term in enumerate(fit.terms):
-        v = fit.parts_of(number)
-        if isinstance(term, ShockLaw):
-            changes["positive_fraction"] = float(0.5 + v[0] / 2)
-        elif isinstance(term, RingDown):
-            changes |= {
-                "ring_fraction": hypot(v[2], v[3]),
-                "ring_hz": float(term.frequency_hz + v[1] / term.decay_s),
-                "ring_decay_s": exp(v[0]),
-            }
+def _struck(terms: list[Any], fit: Fit, told: Told) -> tuple[list[Any], list[str]]:
+    """Return the terms, their shocks with the law and the shape that findings gave them, and what these cannot have.
+
+    Shocks have one ring: the loudest, unless a stated model's have their own.
+    """
     if any(isinstance(term, Popcorn) for term in fit.terms):
-        return [term for term in terms if not isinstance(term, model.Shocks)]
-    return [replace(term, **changes) if changes and isinstance(term, model.Shocks) else term for term in terms]
+        terms = [term for term in terms if not isinstance(term, model.Shocks)]
+    shocks = next((term for term in terms if isinstance(term, model.Shocks)), None)
+    changes, rings, without = dict[str, Any](), list[dict[str, float]](), list[str]()
+    for number, term in enumerate(fit.terms):
+        if not isinstance(term, ShockLaw | RingDown):
+            continue
+        v = fit.parts_of(number)
+        if shocks is None:
+            without.append(term.cause)
+        elif isinstance(term, ShockLaw):
+            changes["positive_fraction"] = float(0.5 + v[0] / 2)
+        else:
+            known = told.get(number, {})
+            figures = {item.name: item.value(v) for item in term.parameters(fit.data)}
+            rings.append({name: known[name].value if name in known else here for name, here in figures.items()})
+    if rings and shocks is not None:
+        room = shocks.ring_fraction == 0
+        without += ["ring_down"] * (len(rings) - room)
+        if room:
+            ring = max(rings, key=lambda each: each["ratio"])
+            changes["ring_fraction"] = ring["ratio"]
+            changes["ring_hz"], changes["ring_decay_s"] = ring["frequency_hz"], ring["decay_s"]
+    return [replace(term, **changes) if isinstance(term, model.Shocks) else term for term in terms], without
 
 
 def _supply(term: SupplyCoupling, v: Floats, fit: Fit, _: float) -> Made:

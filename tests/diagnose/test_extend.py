@@ -8,10 +8,12 @@ from aemd.diagnose.climb import assemble
 from aemd.diagnose.fit import fit_base, residuals
 from aemd.diagnose.given import Given, accept
 from aemd.diagnose.hypothesis import Base, base_box, make_data
+from aemd.diagnose.result import Value
+from aemd.diagnose.terms.events import Popcorn, RingDown
 from aemd.diagnose.terms.noise import ChangingNoise, DifferenceNoise, Resonance, Smoothing
 from aemd.diagnose.translate import to_model
 from aemd.model import Resonance as Swinging
-from aemd.model import Sine
+from aemd.model import Shocks, Sine
 from aemd.simulate import read_model, simulate
 from tests.diagnose.plant import INTERVAL_S, clean, series, times
 
@@ -125,3 +127,35 @@ def test_a_resonance_that_an_aperture_weakens_is_written_as_it_was_before_that()
 
     assert swinging.sd_V == pytest.approx(1.5 * data.unit_V / np.sinc(4.0 * aperture_s), rel=2e-3)
     assert kept == pytest.approx([1.5, 1.5], rel=1e-3)
+
+
+RINGS = (RingDown(np.zeros(500), 2.0, 0.5, (0.3, 0.4), 0.0), RingDown(np.zeros(500), 3.0, 1.5, (0.0, 0.2), 0.0))
+
+
+def rung(*terms, shocks=True):
+    """Return the fit of these terms as they begin, beside shocks."""
+    data = make_data(series(clean(8, 500)))
+    theta = fit_base(data).theta[:6]
+    law = np.log([0.05, 8.0, 0.3]) if shocks else []
+    base = Base(np.append(theta, law), shocks=shocks, box=(*base_box(data), *[(-9.0, 9.0)] * len(law)))
+    return residuals([base, *terms], np.concatenate([term.start for term in (base, *terms)]), data)
+
+
+def the_ring_of(fit, told):
+    made, without = to_model(fit, 0.02, told)
+    return [
+        (term.ring_fraction, term.ring_hz, term.ring_decay_s) for term in made.terms if isinstance(term, Shocks)
+    ], without
+
+
+def test_of_two_rings_the_louder_is_written_and_the_other_is_said_to_be_left_out():
+    told = {2: {"ratio": Value(0.7, 0.6, 0.8, ""), "decay_s": Value(1.4, 1.3, 1.5, "s")}}
+
+    assert the_ring_of(rung(*RINGS), {}) == ([(pytest.approx(0.5), 2.0, pytest.approx(0.5))], ("ring_down",))
+    assert the_ring_of(rung(*RINGS), told) == ([(0.7, 3.0, 1.4)], ("ring_down",))
+    assert the_ring_of(rung(RINGS[1]), {}) == ([(pytest.approx(0.2), 3.0, pytest.approx(1.5))], ())
+
+
+def test_what_rings_without_shocks_or_after_a_level_that_jumps_is_left_out():
+    assert the_ring_of(rung(RINGS[0], shocks=False), {}) == ([], ("ring_down",))
+    assert the_ring_of(rung(RINGS[0], Popcorn(1.0, 5.0, 5.0, 0.0)), {}) == ([], ("ring_down",))
