@@ -55,6 +55,15 @@ def test_a_log_becomes_readings_and_witnesses(tmp_path: Path) -> None:
     assert (summary.readings, summary.invalid, summary.witnesses) == (3, 1, ("temperature",))
 
 
+def test_the_nominal_interval_is_that_of_the_grid_about_which_the_stamps_scatter(tmp_path: Path) -> None:
+    """The mean of n steps errs by sqrt(2) sd / n, which five times are the bound; their median by 1.8 sd / sqrt(n)."""
+    sd_s, n = 0.002, 2000
+    stamps = 1 + np.arange(n) / 15 + sd_s * np.random.default_rng(2).standard_normal(n)
+    log = _write(tmp_path, "time,value\n" + "".join(f"{t_s:.6f},1.5\n" for t_s in stamps))
+
+    assert import_csv(log, tmp_path / "r.mcap").interval_s == pytest.approx(1 / 15, abs=5 * 2**0.5 * sd_s / n)
+
+
 @pytest.mark.parametrize(
     ("unit", "scale", "per_volt"),
     [

@@ -1,8 +1,10 @@
 """A file becomes a series: arrays on the grid of the meter's own timer, and what the checks need of their origin.
 
 A meter paces itself, so the steps between readings are whole multiples of one interval; time stamps given by a host
-scatter about that grid. Steps within a fifth of an interval of a multiple are taken as that multiple (the stamps'
-scatter is then itself something to check), others as they are stamped.
+scatter about that grid. Where they keep to it, steps are taken as whole multiples (the stamps' scatter is then itself
+something to check), and only those that leave it for good as they are stamped. Whether one does is told by the stamps
+about it, not by the step alone: of stamps that scatter by a seventh of an interval a third of the steps are off by more
+than a fifth, and to take those as stamped and their neighbours as whole would add their scatter up.
 """
 
 import math
@@ -19,6 +21,7 @@ from aemd.errors import RecordingError
 from aemd.record.reader import Recording
 from aemd.record.source import readings_told
 from aemd.tables import import_csv
+from aemd.tables.grid import ON_GRID, first_interval_of, interval_of, jumps_for_good, scatter, steps_for_good
 
 __all__ = ["MOST_READINGS", "Series", "load_series"]
 
@@ -35,10 +38,8 @@ _LARGEST = 1e100
 _FAR_OUT = 1e12
 """Typical deviations: no meter has more digits, and a sum with the others would hold none of them."""
 _TWO, _MANY = 2, 1000
-_ON_GRID = 0.2
-"""Intervals from a whole multiple that a step may be stamped off, and still be that multiple."""
-_NEIGHBOURS = 9
-"""Stamps on each side of a gap whose median says where they are: jitter of a quarter interval moves that by a tenth."""
+_COARSE = 0.05
+"""Scatter of the steps, in intervals, above which stamps that walk off the grid are taken as they are, all of them."""
 _ABOUT = 3
 """Steps about a late stamp that tell whether it was only late."""
 
@@ -56,9 +57,9 @@ class Series:
     """Number of each reading; a jump is a counted loss. Consecutive where the file does not number them."""
     status: NDArray[np.uint32]
     interval_s: float
-    """Of the grid: median step."""
+    """Of the grid."""
     nominal_interval_s: float = 0.0
-    """As the file says it was asked for; 0 if it does not."""
+    """As the file says it was asked for; 0 if it does not, or if it was only taken from the stamps."""
     numbered: bool = False
     """Whether the file numbers its readings, so that a loss is known and not inferred."""
     aperture_s: float = 0.02
@@ -75,11 +76,11 @@ class Series:
 
     @property
     def step_s(self) -> Floats:
-        """Time since the reading before, s, on the grid where it is near it; the first is one interval."""
-        steps = np.diff(self.time_s) / self.interval_s
-        whole = self.whole_steps[1:].astype(np.float64)
-        near = np.full(steps.size, fill_value=True) if self.numbered else np.abs(steps - whole) <= _ON_GRID
-        return np.concatenate(([1.0], np.where(near, whole, steps))) * self.interval_s
+        """Time since the reading before, s, on the grid where the stamps keep to it; the first is one interval."""
+        whole = self.whole_steps.astype(np.float64)
+        if not self.numbered:
+            whole[1:] = _as_stamped(np.diff(self.time_s) / self.interval_s, whole[1:])
+        return whole * self.interval_s
 
     @property
     def whole_steps(self) -> NDArray[np.int64]:
@@ -89,35 +90,16 @@ class Series:
         """
         steps = np.diff(self.time_s) / self.interval_s
         if not self.numbered:
-            return np.concatenate(([1], self._steps_for_good(steps)))
+            return np.concatenate(([1], steps_for_good(steps)))
         counted = np.maximum(np.diff(self.index), 1)
         whole = counted.copy()
-        for at in np.flatnonzero(steps > counted + 1 - _ON_GRID):
+        for at in np.flatnonzero(steps > counted + 1 - ON_GRID):
             # A stamp that came late is made up for by the next steps; readings that are missing are not.
             low, high = max(at - _ABOUT, 0), min(at + _ABOUT + 1, steps.size)
             extra = float(steps[low:high].sum() - counted[low:high].sum())
-            if (
-                extra > 0.5
-                and abs(steps[at] - np.rint(steps[at])) <= _ON_GRID
-                and steps[at] - counted[at] < extra + 0.5
-            ):
+            if extra > 0.5 and abs(steps[at] - np.rint(steps[at])) <= ON_GRID and steps[at] - counted[at] < extra + 0.5:
                 whole[at] = int(np.rint(steps[at]))
         return np.concatenate(([1], whole)).astype(np.int64)
-
-    def _steps_for_good(self, steps: Floats) -> NDArray[np.int64]:
-        """Return the whole steps of readings without numbers; a stamp that came late is none that lacks its neighbour.
-
-        The readings after a gap stay behind the grid of those before it, by their median; those after a late stamp are
-        on it again.
-        """
-        behind = np.concatenate(([0.0], np.cumsum(steps - 1)))
-        at = np.flatnonzero(np.rint(steps) > 1)[:, None]
-        before = behind[np.maximum(at - np.arange(_NEIGHBOURS), 0)]
-        after = behind[np.minimum(at + 1 + np.arange(_NEIGHBOURS), steps.size)]
-        for_good = at[np.median(after, axis=1) - np.median(before, axis=1) > 0.5]
-        whole = np.ones(steps.size, dtype=np.int64)
-        whole[for_good] = np.rint(steps[for_good])
-        return whole
 
     @property
     def slot(self) -> NDArray[np.int64]:
@@ -153,6 +135,7 @@ def _from_recording(path: Path, made: Path, most: int, *, numbered: bool) -> Ser
         batches, left_out = _beginning(recording, most)
         nominal = recording.description.interval_s
         stated = recording.description.session.get("aperture_s", "") if numbered else ""
+        stamps_only = "interval" in recording.description.session  # as the imports tell where they have it from
     blocks = [batch.readings for batch in batches if batch.readings.size]
     readings = np.concatenate(blocks) if blocks else np.empty(0, READING)
     if readings.size < _LEAST_READINGS:
@@ -171,11 +154,8 @@ def _from_recording(path: Path, made: Path, most: int, *, numbered: bool) -> Ser
         row = int(np.argmax(np.diff(t_ns) <= 0)) + 2
         raise RecordingError(f"{path}: reading {row} is not later than the one before; sort the file by time")
     time_s = (t_ns - t_ns[0]) * 1e-9
-    steps = np.diff(time_s) / (np.maximum(np.diff(readings["index"]), 1) if numbered else 1)
-    interval_s = float(np.median(steps))
-    if not numbered:  # a log's stamps are rounded, so their median is; their mean over single steps is not
-        single = np.abs(steps / interval_s - 1) < 0.5
-        interval_s = float(np.mean(steps[single]))
+    index = readings["index"].astype(np.int64)
+    interval_s = first_interval_of(time_s, np.maximum(np.diff(index), 1) if numbered else 1)
     found: dict[str, list[NDArray[np.void]]] = {}
     for batch in batches:
         for name, rows in batch.witnesses.items():
@@ -188,19 +168,39 @@ def _from_recording(path: Path, made: Path, most: int, *, numbered: bool) -> Ser
             order = np.argsort(rows["t_ns"], kind="stable")
             at_s = (rows["t_ns"][order] - t_ns[0]) * 1e-9
             witnesses[name] = np.interp(time_s, at_s, rows["value"][order])
-    return Series(
+    was_asked = numbered and math.isfinite(nominal) and not stamps_only
+    series = Series(
         path=str(path),
         time_s=time_s,
         value_V=values,
-        index=readings["index"].astype(np.int64),
+        index=index,
         status=readings["status"].astype(np.uint32),
         interval_s=interval_s,
-        nominal_interval_s=nominal if numbered and math.isfinite(nominal) else 0.0,
+        nominal_interval_s=nominal if was_asked else 0.0,
         numbered=numbered,
-        aperture_s=float(stated) if stated else min(_USUAL_APERTURE_S, interval_s),
         witnesses=witnesses,
         left_out=left_out,
     )
+    interval_s = interval_of(time_s, series.whole_steps[1:], interval_s)
+    aperture_s = float(stated) if stated else min(_USUAL_APERTURE_S, interval_s)
+    return replace(series, interval_s=interval_s, aperture_s=aperture_s)
+
+
+def _as_stamped(steps: Floats, whole: Floats) -> Floats:
+    """Return the whole steps, but as they are stamped those that leave the grid; both in intervals.
+
+    Of stamps that do not keep to any grid, as those of a program that waits a while after each reading, all steps are
+    as stamped; where the scatter is too small to matter, those that are off by more than a fifth.
+    """
+    left = np.concatenate(([0.0], np.cumsum(steps - whole)))
+    off = np.abs(steps - whole) > ON_GRID
+    if not off.any():
+        return whole
+    chosen = np.where(jumps_for_good(left), steps, whole)
+    behind = np.cumsum(steps - chosen)
+    if float(np.median(np.abs(behind - np.median(behind)))) < 0.5:
+        return chosen
+    return steps if scatter(steps - whole) > _COARSE else np.where(off, steps, whole)
 
 
 def _check_size(path: Path, values: Floats) -> None:

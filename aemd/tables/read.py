@@ -7,7 +7,6 @@ import csv
 import gzip
 import io
 import math
-import statistics
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,6 +24,7 @@ from aemd.block import ESTIMATE, READING, WITNESS, Batch, Status
 from aemd.errors import RecordingError, UsageError
 from aemd.record.description import Description
 from aemd.record.writer import Recorder
+from aemd.tables.grid import first_interval_of, interval_of, steps_for_good
 
 __all__ = ["PER_VOLT", "ImportSummary", "import_csv"]
 
@@ -47,7 +47,7 @@ class ImportSummary:
     unit: str
     """Of the recorded values."""
     interval_s: float
-    """Median time between the first readings, s."""
+    """Of the grid on which the first readings' times lie, s."""
     witnesses: tuple[str, ...]
 
 
@@ -57,7 +57,8 @@ def import_csv(path: Path, out: Path, *, unit: str = "V", scale: float = 1.0) ->
     `time` is seconds, rising, since 1970 or since whenever the log began; it is kept as given, rounded to nanoseconds.
     `value` times `scale` is a value in `unit`; V, mV, uV and nV are recorded in volts, any other unit as it is. A value
     that is empty or not finite is a reading with the status INVALID. Each further column becomes the witness topic of
-    its name; an empty cell there is no value. The nominal interval is the median over the first 65,536 readings.
+    its name; an empty cell there is no value. The nominal interval is that of the grid on
+    which the stamps of the first 65,536 readings lie.
 
     Args:
         path: the table; .gz is unpacked.
@@ -223,7 +224,11 @@ def _open_text(path: Path) -> Iterator[IO[str]]:
 
 
 def _interval_s(t_ns: NDArray[np.int64]) -> float:
-    return statistics.median(np.diff(t_ns).tolist()) / 1e9 if len(t_ns) > 1 else 0.0
+    if len(t_ns) == 1:
+        return 0.0
+    time_s = (t_ns - t_ns[0]) * 1e-9
+    first_s = first_interval_of(time_s)
+    return interval_of(time_s, steps_for_good(np.diff(time_s) / first_s), first_s)
 
 
 def _describe_import(
@@ -239,7 +244,7 @@ def _describe_import(
         "time_epoch": epoch,
         "value_scale": repr(scale),
         "value_unit": unit,
-        "interval": f"median of the first {len(t_ns)} readings",
+        "interval": f"as stamped, of the first {len(t_ns)} readings",
     }
     return Description(
         unit="V" if in_volts else unit,

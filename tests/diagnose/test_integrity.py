@@ -166,6 +166,28 @@ def test_the_interval_of_a_scatter_knows_that_late_stamps_are_not_normal():
     assert (sd.high - sd.low) / 4 / sd.value == pytest.approx(np.sqrt((3 + excess) / (4 * N)), rel=0.05)
 
 
+@pytest.mark.parametrize("share", [0.02, 0.001])
+def test_the_interval_of_a_scatter_holds_what_stamps_that_come_late_by_far_make_of_it(share):
+    """1 ms for most, 30 ms late for some: of both the variance is 1 + share (1 - share) 30^2 ms^2."""
+    rng = np.random.default_rng(82)
+    stamps = times() + rng.normal(0, 1e-3, N) + 30e-3 * (rng.random(N) < share)
+    (defect,) = check_raw(series(clean(8), time_s=stamps, numbered=False, nominal_interval_s=0.0), SD_V)
+    sd = defect.parameters["sd_s"]
+
+    assert defect.cause == "timestamp_jitter"
+    assert sd.low < 1e-3 * np.sqrt(1 + 900 * share * (1 - share)) < sd.high
+    if share == 0.02:  # 80 of them tell it well
+        assert sd.high < 1.5 * sd.low
+
+
+def test_a_clock_that_was_set_once_is_not_scatter():
+    stamps = times() + np.random.default_rng(83).normal(0, 2e-3, N) + 0.5 * (np.arange(N) > 0.3 * N)
+    found = check_raw(series(clean(8), time_s=stamps, numbered=False, nominal_interval_s=0.0), SD_V)
+    (sd,) = (defect.parameters["sd_s"] for defect in found if defect.cause == "timestamp_jitter")
+
+    assert 1.8e-3 < sd.low < 2e-3 < sd.high < 2.2e-3
+
+
 def test_an_interval_off_by_a_thousandth_is_a_clock_error():
     (defect,) = check_raw(series(clean(9), nominal_interval_s=INTERVAL_S / 1.001), SD_V)
 

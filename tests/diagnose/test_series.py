@@ -1,4 +1,4 @@
-"""A very long record: its beginning is judged, and the answer says so."""
+"""A file becomes a series: of a very long record the beginning; the stamps' grid, however they scatter about it."""
 
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from aemd.diagnose.series import load_series
 from aemd.errors import RecordingError
 from aemd.record.description import Description
 from aemd.record.writer import Recorder
+from aemd.tables import import_csv
 
 INTERVAL_S = 0.067
 READINGS = 30_000
@@ -101,3 +102,120 @@ def test_numbers_that_leave_nothing_to_judge_are_refused_with_the_way_out(tmp_pa
 
     with pytest.raises(RecordingError, match=words):
         load_series(path)
+
+
+# The grid.
+
+_N = 2000
+
+
+def _error_s(sd_s: float, n: int = _N) -> float:
+    """Five times the standard error of the mean of differences L = n/8 apart, sd sqrt(2 / L) / (n - L).
+
+    All stamps but the first and the last L cancel in that mean.
+    """
+    return 5 * sd_s * np.sqrt(2 * 8 / n) / (n * 7 / 8)
+
+
+def _recording_of(path: Path, stamps_s: np.ndarray, index: np.ndarray | None = None) -> Path:
+    readings = make_block(np.random.default_rng(0).standard_normal(stamps_s.size))
+    readings["t_ns"] = np.rint((stamps_s + 1.0) * 1e9)
+    if index is not None:
+        readings["index"] = index
+    recorder = Recorder(path, Description(interval_s=INTERVAL_S))
+    recorder.write(Batch(readings), np.empty(0, ESTIMATE))
+    return recorder.close()
+
+
+def _table_of(path: Path, stamps_s: np.ndarray) -> Path:
+    values = np.random.default_rng(0).standard_normal(stamps_s.size)
+    lines = [f"{t_s + 1:.6f},{value:.6f}" for t_s, value in zip(stamps_s, values, strict=True)]
+    path.write_text("\n".join(["time,value", *lines]) + "\n")
+    return path
+
+
+def _on_the_grid() -> np.ndarray:
+    return np.arange(_N) * INTERVAL_S
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("numbered", [True, False])
+@pytest.mark.parametrize("share", [0.0, 0.03, 0.15])
+def test_the_interval_is_known_as_well_as_scattering_stamps_tell(tmp_path, seed, numbered, share):
+    """Of a sine at 2 Hz over 134 s, an interval off by a thousandth would be a fifth of a turn off by the end."""
+    sd_s = share * INTERVAL_S
+    stamps = _on_the_grid() + sd_s * np.random.default_rng(seed).standard_normal(_N)
+
+    series = load_series((_recording_of if numbered else _table_of)(tmp_path / "r", stamps))
+
+    assert series.interval_s == pytest.approx(INTERVAL_S, abs=_error_s(sd_s) + 1e-9)
+    assert np.all(series.step_s == series.interval_s)  # the time axis does not add the stamps' scatter up
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_readings_that_are_missing_at_random_do_not_move_the_interval(tmp_path, numbered):
+    rng = np.random.default_rng(4)
+    keep = rng.random(_N) > 0.02
+    keep[700:900] = False
+    stamps = (_on_the_grid() + 0.05 * INTERVAL_S * rng.standard_normal(_N))[keep]
+    index = np.flatnonzero(keep)
+    path = _recording_of(tmp_path / "r", stamps, index) if numbered else _table_of(tmp_path / "r", stamps)
+
+    series = load_series(path)
+
+    assert series.interval_s == pytest.approx(INTERVAL_S, abs=2 * _error_s(0.05 * INTERVAL_S))
+    assert series.slot.tolist() == (index - index[0]).tolist()
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+@pytest.mark.parametrize("jump", [0.5, 10.4, 1000.5])
+def test_a_clock_that_was_set_does_not_move_the_interval(tmp_path, numbered, jump):
+    """Each half tells the interval alone: its error is 2^1.5 times that of the whole, and that of both 2."""
+    stamps = _on_the_grid() + 0.01 * INTERVAL_S * np.random.default_rng(5).standard_normal(_N)
+    stamps[_N // 2 :] += jump * INTERVAL_S
+
+    series = load_series((_recording_of if numbered else _table_of)(tmp_path / "r", stamps))
+
+    assert series.interval_s == pytest.approx(INTERVAL_S, abs=2.5 * _error_s(0.01 * INTERVAL_S))
+
+
+def test_a_pause_of_no_whole_length_stays_as_it_is_stamped_and_no_other_step(tmp_path):
+    stamps = _on_the_grid() + 0.02 * INTERVAL_S * np.random.default_rng(6).standard_normal(_N)
+    stamps[500:] += 3.4 * INTERVAL_S
+    stamps[900] += 0.4 * INTERVAL_S  # late by itself
+    stamps = np.round(stamps, 6)
+
+    series = load_series(_table_of(tmp_path / "t.csv", stamps))
+
+    off = np.flatnonzero(np.abs(series.step_s / series.interval_s - 1) > 1e-9)
+    assert off.tolist() == [500]
+    assert series.step_s[500] == pytest.approx(stamps[500] - stamps[499], abs=1e-6)
+
+
+def test_stamps_that_keep_to_no_grid_are_the_time_axis_themselves(tmp_path):
+    """A program that waits a while after each reading, of a length that varies by 0.3: that adds up."""
+    steps = INTERVAL_S * np.random.default_rng(7).uniform(0.5, 1.5, _N)
+    stamps = np.round(np.cumsum(steps), 6)
+
+    series = load_series(_table_of(tmp_path / "t.csv", stamps))
+
+    axis = np.cumsum(series.step_s)
+    assert np.ptp(axis - stamps) < series.interval_s
+
+
+def test_one_burst_of_late_stamps_does_not_tilt_the_interval(tmp_path):
+    """A host that stalls for ten seconds reads 150 stamps at once; a straight line's slope would be off by 1 %."""
+    stamps = _on_the_grid()
+    stamps[100:250] = stamps[250] - 1e-5 * np.arange(150, 0, -1)
+
+    series = load_series(_recording_of(tmp_path / "r.mcap", stamps))
+
+    assert series.interval_s == pytest.approx(INTERVAL_S, rel=1e-8)
+
+
+def test_an_interval_that_an_import_took_from_the_stamps_was_not_asked_for(tmp_path):
+    stamps = _on_the_grid() + 0.03 * INTERVAL_S * np.random.default_rng(8).standard_normal(_N)
+    import_csv(_table_of(tmp_path / "t.csv", stamps), tmp_path / "r.mcap")
+
+    assert load_series(tmp_path / "r.mcap").nominal_interval_s == 0.0
+    assert load_series(_recording_of(tmp_path / "own.mcap", stamps)).nominal_interval_s == INTERVAL_S
