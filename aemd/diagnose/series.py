@@ -21,7 +21,7 @@ from aemd.errors import RecordingError
 from aemd.record.reader import Recording
 from aemd.record.source import readings_told
 from aemd.tables import import_csv
-from aemd.tables.grid import ON_GRID, first_interval_of, interval_of, jumps_for_good, scatter, steps_for_good
+from aemd.tables.grid import ON_GRID, digit_of, first_interval_of, interval_of, jumps_for_good, scatter, steps_for_good
 
 __all__ = ["MOST_READINGS", "Series", "load_series"]
 
@@ -79,7 +79,7 @@ class Series:
         """Time since the reading before, s, on the grid where the stamps keep to it; the first is one interval."""
         whole = self.whole_steps.astype(np.float64)
         if not self.numbered:
-            whole[1:] = _as_stamped(np.diff(self.time_s) / self.interval_s, whole[1:])
+            whole[1:] = _as_stamped(self.time_s / self.interval_s, whole[1:], digit_of(self.time_s) / self.interval_s)
         return whole * self.interval_s
 
     @property
@@ -186,17 +186,18 @@ def _from_recording(path: Path, made: Path, most: int, *, numbered: bool) -> Ser
     return replace(series, interval_s=interval_s, aperture_s=aperture_s)
 
 
-def _as_stamped(steps: Floats, whole: Floats) -> Floats:
-    """Return the whole steps, but as they are stamped those that leave the grid; both in intervals.
+def _as_stamped(stamps: Floats, whole: Floats, digit: float) -> Floats:
+    """Return the whole steps, but as they are stamped those that leave the grid; all in intervals.
 
     Of stamps that do not keep to any grid, as those of a program that waits a while after each reading, all steps are
     as stamped; where the scatter is too small to matter, those that are off by more than a fifth.
     """
+    steps = np.diff(stamps)
     left = np.concatenate(([0.0], np.cumsum(steps - whole)))
     off = np.abs(steps - whole) > ON_GRID
     if not off.any():
         return whole
-    chosen = np.where(jumps_for_good(left), steps, whole)
+    chosen = np.where(jumps_for_good(left, digit), steps, whole)
     behind = np.cumsum(steps - chosen)
     if float(np.median(np.abs(behind - np.median(behind)))) < 0.5:
         return chosen

@@ -9,7 +9,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ON_GRID", "first_interval_of", "interval_of", "jumps_for_good", "scatter", "steps_for_good"]
+__all__ = ["ON_GRID", "digit_of", "first_interval_of", "interval_of", "jumps_for_good", "scatter", "steps_for_good"]
 
 Floats = NDArray[np.float64]
 
@@ -21,6 +21,8 @@ _SURE = 3.5
 """Of the stamps' scatter: six times what the two medians' difference scatters by, 1.25 sqrt(2 / 9)."""
 _PARTS = 8
 """Of a run of readings: stamps one part apart are compared, so that a clock set once moves an eighth of the pairs."""
+_CUT = 0.05
+"""Intervals by which the stamps jump where those before are not compared with those behind."""
 _OUTLIERS = 5.0
 _TO_SD = 1.4826
 
@@ -46,17 +48,24 @@ def steps_for_good(steps: Floats) -> NDArray[np.int64]:
     return whole
 
 
-def jumps_for_good(left: Floats) -> NDArray[np.bool_]:
+def jumps_for_good(left: Floats, digit: float, least: float = ON_GRID) -> NDArray[np.bool_]:
     """Return at which steps the stamps leave the grid and stay off it: at a pause of no whole length, a clock set.
 
     Args:
         left: stamps less their places on the grid, in intervals, shape (n,).
+        digit: of the stamps, in intervals; rounding alone moves them by less.
+        least: jump that counts, intervals.
     """
     steps = np.diff(left)
-    at = np.flatnonzero(np.abs(steps) > ON_GRID)
+    at = np.flatnonzero(np.abs(steps) > least)
     jumped = np.zeros(steps.size, dtype=bool)
-    jumped[at] = np.abs(_moved(left, at)) > max(ON_GRID, _SURE * scatter(steps))
+    jumped[at] = np.abs(_moved(left, at)) > max(least, digit, _SURE * scatter(steps))
     return jumped
+
+
+def digit_of(time_s: Floats) -> float:
+    """Return the digit to which stamps were rounded, s: what all steps are multiples of, at least 1 ns."""
+    return float(np.gcd.reduce(np.rint(np.diff(time_s) * 1e9).astype(np.int64))) * 1e-9
 
 
 def _moved(left: Floats, at: NDArray[np.intp]) -> Floats:
@@ -78,7 +87,7 @@ def first_interval_of(time_s: Floats, counted: NDArray[np.int64] | int = 1) -> f
     steps = np.diff(time_s) / counted
     at = (steps.size - 1) // 2
     middle = np.partition(steps, at)[at]  # one of them, where two lengths are equally many
-    return float(np.mean(steps[np.abs(steps / middle - 1) < 0.5]))
+    return float(np.mean(steps[np.abs(steps - middle) < 0.5 * middle + digit_of(time_s)]))
 
 
 def interval_of(time_s: Floats, whole: NDArray[np.int64], first_s: float) -> float:
@@ -97,7 +106,9 @@ def interval_of(time_s: Floats, whole: NDArray[np.int64], first_s: float) -> flo
     left = time_s / first_s - slot
     off = np.diff(left)
     error = float(np.sqrt(np.mean(np.minimum(np.abs(off), 0.5) ** 2) / slot.size))
-    run = np.concatenate(([0], np.cumsum(jumps_for_good(left) | ((whole - 1) * error > ON_GRID / 2))))
+    digit = digit_of(time_s) / first_s
+    jumped = jumps_for_good(left, digit, _CUT)
+    run = np.concatenate(([0], np.cumsum(jumped | ((whole - 1) * error > ON_GRID / 2))))
     lengths = np.bincount(run)
     pairs = np.arange(slot.size)
     to = pairs + np.maximum(lengths // _PARTS, 1)[run]
@@ -110,5 +121,5 @@ def interval_of(time_s: Floats, whole: NDArray[np.int64], first_s: float) -> flo
     order = np.argsort(each)
     weight = np.cumsum(apart[order])
     out = np.abs(late - each[order[np.searchsorted(weight, weight[-1] / 2)]] * apart)
-    kept = out <= max(ON_GRID, _OUTLIERS * _TO_SD * float(np.median(out)))
+    kept = out <= max(ON_GRID + digit, _OUTLIERS * _TO_SD * float(np.median(out)))
     return first_s * (1 + float(late[kept] @ apart[kept]) / float(apart[kept] @ apart[kept]))

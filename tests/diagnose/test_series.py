@@ -168,15 +168,15 @@ def test_readings_that_are_missing_at_random_do_not_move_the_interval(tmp_path, 
 
 
 @pytest.mark.parametrize("numbered", [True, False])
-@pytest.mark.parametrize("jump", [0.5, 10.4, 1000.5])
-def test_a_clock_that_was_set_does_not_move_the_interval(tmp_path, numbered, jump):
+@pytest.mark.parametrize(("jump", "share"), [(0.5, 0.01), (10.4, 0.01), (3000.0, 0.15), (3000.5, 0.15)])
+def test_a_clock_that_was_set_does_not_move_the_interval(tmp_path, numbered, jump, share):
     """Each half tells the interval alone: its error is 2^1.5 times that of the whole, and that of both 2."""
-    stamps = _on_the_grid() + 0.01 * INTERVAL_S * np.random.default_rng(5).standard_normal(_N)
+    stamps = _on_the_grid() + share * INTERVAL_S * np.random.default_rng(5).standard_normal(_N)
     stamps[_N // 2 :] += jump * INTERVAL_S
 
     series = load_series((_recording_of if numbered else _table_of)(tmp_path / "r", stamps))
 
-    assert series.interval_s == pytest.approx(INTERVAL_S, abs=2.5 * _error_s(0.01 * INTERVAL_S))
+    assert series.interval_s == pytest.approx(INTERVAL_S, abs=2.5 * _error_s(share * INTERVAL_S))
 
 
 def test_a_pause_of_no_whole_length_stays_as_it_is_stamped_and_no_other_step(tmp_path):
@@ -203,10 +203,36 @@ def test_stamps_that_keep_to_no_grid_are_the_time_axis_themselves(tmp_path):
     assert np.ptp(axis - stamps) < series.interval_s
 
 
-def test_one_burst_of_late_stamps_does_not_tilt_the_interval(tmp_path):
+@pytest.mark.parametrize("numbered", [True, False])
+def test_pauses_of_no_whole_length_do_not_move_the_interval(tmp_path, numbered):
+    """A program that writes its file after every 40 readings: stamps an eighth of the record apart lie over six."""
+    pauses_s = INTERVAL_S * (3 + np.random.default_rng(9).uniform(0.1, 0.9, _N // 40))
+    pauses = np.repeat(np.cumsum(pauses_s), 40)
+
+    series = load_series((_recording_of if numbered else _table_of)(tmp_path / "r", _on_the_grid() + pauses))
+
+    assert series.interval_s == pytest.approx(INTERVAL_S, rel=1e-6)
+
+
+@pytest.mark.parametrize("interval_ms", [2.05, 2.3])
+def test_stamps_of_few_digits_leave_the_grid_at_no_rounding(tmp_path, interval_ms):
+    """Of 2.05 ms in whole ones every twentieth step is one and a half intervals, and none a pause or a loss."""
+    path = tmp_path / "t.csv"
+    lines = "".join(f"{interval_ms * row / 1000:.3f},{row % 7}\n" for row in range(_N))
+    path.write_text("time,value\n" + lines)
+
+    series = load_series(path)
+
+    one_digit_over_what_is_compared_s = 0.001 / (_N * 7 / 8)
+    assert series.interval_s == pytest.approx(interval_ms / 1000, abs=one_digit_over_what_is_compared_s)
+    assert np.all(series.step_s == series.interval_s)
+
+
+@pytest.mark.parametrize("late", [4, 150])
+def test_one_burst_of_late_stamps_does_not_tilt_the_interval(tmp_path, late):
     """A host that stalls for ten seconds reads 150 stamps at once; a straight line's slope would be off by 1 %."""
     stamps = _on_the_grid()
-    stamps[100:250] = stamps[250] - 1e-5 * np.arange(150, 0, -1)
+    stamps[100 : 100 + late] = stamps[100 + late] - 1e-5 * np.arange(late, 0, -1)
 
     series = load_series(_recording_of(tmp_path / "r.mcap", stamps))
 

@@ -11,7 +11,7 @@ from aemd.diagnose.checks.lattice import find_lattice
 from aemd.diagnose.evidence import Defect
 from aemd.diagnose.result import Value, exact
 from aemd.diagnose.series import OVERLOAD, Series
-from aemd.tables.grid import jumps_for_good, scatter
+from aemd.tables.grid import digit_of, jumps_for_good, scatter
 
 __all__ = ["clock_error", "missing_samples", "timestamp_jitter"]
 
@@ -66,7 +66,7 @@ def timestamp_jitter(series: Series) -> Defect | None:
     slope, start = np.polyfit(grid, series.time_s, 1)
     left = series.time_s - (start + slope * grid)
     # Of differences, so that a clock that wanders is not taken for one that jitters; nor is one that was set.
-    jitter = np.diff(left)[~jumps_for_good(left / series.interval_s)]
+    jitter = np.diff(left)[~jumps_for_good(left / series.interval_s, digit_of(series.time_s) / series.interval_s)]
     core = scatter(jitter)
     whole = float(np.std(jitter)) / sqrt(2)
     rounding = find_lattice(series.time_s) / sqrt(12)
