@@ -12,7 +12,7 @@ Whitened by the fit's own filter, this is linear in two amplitudes for each shoc
 through once for each pair of these, and a draw costs products of small matrices.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import exp, log, pi, sqrt
 
@@ -26,7 +26,7 @@ from aemd.diagnose.hypothesis import Base
 from aemd.diagnose.kernels import whiten
 from aemd.diagnose.terms.events import RingDown, rung
 
-__all__ = ["rings"]
+__all__ = ["one_ring", "rings"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -50,6 +50,8 @@ _GRIDS, _CENTRED = 12, 0.4
 its reach. A strong ring is fitted far too short by a wave of one angle, and the fit's deviations know nothing of it."""
 _WIDER, _FINER = 2.0, 0.25
 """Times the last stride: where a grid ended at its edge, and at least where what it tells is in few of its cells."""
+_WIDEST = 0.5
+"""Stride of a decay's logarithm; of a ring that does not decay within a record all that are long are as likely."""
 _FEW = 0.8
 """Strides of deviation from which it is not; a cell's own width then adds 6 % to it."""
 _MOST_DOUBT = 0.7
@@ -58,6 +60,8 @@ _LOUDEST = 2.0
 """Times the shock, of a ring; see the term's bounds."""
 _RING = 0.6
 """The same, at most, in what a reading shows of the shock itself."""
+_SHORTEST = 0.25
+"""Decay, in intervals: of a shorter one no reading shows anything."""
 _FADED = 9.0
 """Decays after which a ring is left out."""
 
@@ -111,8 +115,8 @@ class _Grid:
 def rings(fit: Fit, number: int, spread: Floats) -> Mapping[str, Floats] | None:
     """Return draws of what is reported of a ring-down, given the readings, each of shape (m,).
 
-    The ratio is that of the amplitudes of ring and shock at its instant. None of another term, and where no shock is
-    followed.
+    The ratio is that of the amplitudes of ring and shock at its instant. None of another term, where no shock is
+    followed, and where no grid was about what it told.
 
     Args:
         fit: at its top.
@@ -120,39 +124,48 @@ def rings(fit: Fit, number: int, spread: Floats) -> Mapping[str, Floats] | None:
         spread: covariance of all free numbers.
     """
     term, theta = fit.terms[number], fit.parts_of(number)
-    struck = _struck(fit) if isinstance(term, RingDown) else None
+    struck = _struck(fit, fit.innovation) if isinstance(term, RingDown) else None
     if not isinstance(term, RingDown) or struck is None:
         return None
     rng = np.random.default_rng(0)
     begin = sum(one.start.size for one in fit.terms[:number])
     sds = np.sqrt(np.maximum(np.diag(spread)[begin : begin + 2], 0.0))
     strides = _STRIDES * (float(np.clip(sds[0], 0.1, 0.5)), max(float(sds[1]) / term.decay_s, 1e-4))
-    now_hz, now_s = term.frequency_hz + float(theta[1]) / term.decay_s, exp(theta[0])
-    base, bare = fit.terms[0], _bare(fit, term, theta, struck)
+    now_hz, now_s = _pitch_of(term, theta)
+    parts = [(one, fit.parts_of(at)) for at, one in enumerate(fit.terms) if isinstance(one, RingDown)]
+    waves = [(one, part) for one, part in parts if one_ring((now_hz, now_s), _pitch_of(one, part))]
+    base, bare = fit.terms[0], _bare(fit, waves)
     doubt = sqrt(max(float(spread[8, 8]), 0.0)) if isinstance(base, Base) and base.shocks else 0.0
-    ratio = float(np.hypot(theta[2], theta[3]))
+    ratio = float(sum(np.hypot(part[2], part[3]) for _, part in waves))
     told = None
     for _ in range(_GRIDS):
         grid = _grid(fit, struck, bare, (now_hz, now_s), strides)
         tried = _candidates(fit, struck, min(doubt, _MOST_DOUBT), (now_hz, now_s, min(ratio, _RING)), rng)
-        ratios, at = _drawn(grid, tried, min(ratio, _LOUDEST), rng)
+        ratios, at, each = _drawn(grid, tried, min(ratio, _LOUDEST), rng)
         before, ratio = np.array([log(now_s), now_hz]), float(np.median(ratios))
         drawn = np.array([np.log(grid.decay_s[at]), grid.frequency_hz[at]])
         middle, spread_here = np.median(drawn, axis=1), drawn.std(axis=1) / strides
         now_s, now_hz = exp(middle[0]), float(middle[1])
+        # The first turns of a loud ring may pass for shocks of their own, as long as one angle stands for all.
+        struck = _struck(fit, bare - _whitened(fit, _rung(fit, struck, each, now_hz, now_s))) or struck
         centred = np.abs(middle - before) < _CENTRED * np.array([_DECAYS, _PITCHES]) * strides
         if centred.all():
             drawn += (rng.random(drawn.shape) - 0.5) * strides[:, None]
-            told = {"frequency_hz": drawn[1], "decay_s": np.exp(drawn[0]), "ratio": ratios}
+            told = {"frequency_hz": np.abs(drawn[1]), "decay_s": np.exp(drawn[0]), "ratio": ratios}
             if (spread_here > _FEW).all():
                 break
         finer = np.where(spread_here > _FEW, 1.0, np.maximum(_STRIDES * spread_here, _FINER))
-        strides = strides * np.where(centred, finer, _WIDER)
+        strides = np.minimum(strides * np.where(centred, finer, _WIDER), (_WIDEST, np.inf))
     return told
 
 
-def _struck(fit: Fit) -> _Struck | None:
-    """Return the shocks that are followed; None where there is none."""
+def one_ring(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Return whether two pitches, Hz, with decays, s, share a band: a loud ring of many angles is fitted as two."""
+    return abs(one[0] - other[0]) < (1 / one[1] + 1 / other[1]) / (2 * pi)
+
+
+def _struck(fit: Fit, innovation: Floats) -> _Struck | None:
+    """Return the shocks that are followed, by what readings show beside the ring; None where there is none."""
     _, parts, arguments = assemble(fit.terms, fit.theta, fit.data)
     rate_per_s, jump_var, at_state = parts.shocks[:3]
     if at_state < 0 or parts.telegraph is not None:
@@ -160,9 +173,9 @@ def _struck(fit: Fit) -> _Struck | None:
     data, calm = fit.data, fit.variance
     jump = -np.expm1(-rate_per_s * data.step_s)
     odds = np.log(jump) - np.log1p(-jump) + 0.5 * np.log(calm / (calm + jump_var))
-    odds += 0.5 * fit.innovation**2 * (1 / calm - 1 / (calm + jump_var))
+    odds += 0.5 * innovation**2 * (1 / calm - 1 / (calm + jump_var))
     probability = np.where(data.used, 1 / (1 + np.exp(-np.clip(odds, -700, 700))), 0.0)
-    size = jump_var / (calm + jump_var) * fit.innovation
+    size = jump_var / (calm + jump_var) * innovation
     likely = probability > _LEAST_ODDS
     paired = np.zeros(likely.size, np.bool_)
     for k in np.flatnonzero(likely[:-1] & likely[1:] & (size[:-1] * size[1:] > 0)):
@@ -179,7 +192,7 @@ def _struck(fit: Fit) -> _Struck | None:
         paired=paired[at],
         size=size[at],
         size_sd=np.sqrt(calm[at] * jump_var / (calm[at] + jump_var)),
-        next_size=np.where(data.used[after], fit.innovation[after], 0.0),
+        next_size=np.where(data.used[after], innovation[after], 0.0),
         next_var=np.where(data.used[after], calm[after], np.inf),
         jump_sd=sqrt(jump_var),
         decay_s=float(arguments[3][int(at_state), 1]),
@@ -187,20 +200,38 @@ def _struck(fit: Fit) -> _Struck | None:
     )
 
 
-def _bare(fit: Fit, term: RingDown, theta: Floats, struck: _Struck) -> Floats:
-    """Return the residuals without the term's own wave, shape (n,)."""
-    wave = rung(
-        term.marks[: fit.data.y.size], fit.data.step_s, term.frequency_hz + theta[1] / term.decay_s, exp(theta[0])
-    )
-    told = np.ascontiguousarray(theta[2] * wave.real + theta[3] * wave.imag)
-    left = fit.innovation + whiten(told, fit.data.step_s, fit.states, fit.gains, fit.data.used)
-    return np.asarray(np.where(fit.data.used, left / np.sqrt(struck.variance), 0.0))
+def _bare(fit: Fit, waves: Sequence[tuple[RingDown, Floats]]) -> Floats:
+    """Return the innovations without these waves of one angle each, shape (n,)."""
+    told = np.zeros(fit.data.y.size)
+    for term, theta in waves:
+        wave = rung(term.marks[: told.size], fit.data.step_s, *_pitch_of(term, theta))
+        told += theta[2] * wave.real + theta[3] * wave.imag
+    return fit.innovation + _whitened(fit, told)
+
+
+def _pitch_of(term: RingDown, theta: Floats) -> tuple[float, float]:
+    """Return pitch and decay of the wave of one angle."""
+    return term.frequency_hz + float(theta[1]) / term.decay_s, exp(theta[0])
+
+
+def _rung(fit: Fit, struck: _Struck, waves: Floats, frequency_hz: float, decay_s: float) -> Floats:
+    """Return what rings from the reading after each shock on, shape (n,), by its quadratures, shape (s, 2)."""
+    total, t_s = np.zeros(fit.data.y.size), fit.data.t_s
+    for first, (one, other) in zip(struck.at, waves, strict=True):
+        wave = np.exp(complex(-1 / decay_s, 2 * pi * frequency_hz) * (t_s[first + 1 :] - t_s[first]))
+        total[first + 1 :] += one * wave.real + other * wave.imag
+    return total
+
+
+def _whitened(fit: Fit, told: Floats) -> Floats:
+    return whiten(np.ascontiguousarray(told), fit.data.step_s, fit.states, fit.gains, fit.data.used)
 
 
 def _grid(fit: Fit, struck: _Struck, bare: Floats, now: tuple[float, float], strides: Floats) -> _Grid:
     """Return pairs of pitch and decay about the fit's, `now`, and what readings say of each shock's wave."""
     data, count = fit.data, struck.at.size
     decays = now[1] * np.exp(np.arange(-_DECAYS, _DECAYS + 1) * strides[0])
+    decays = decays[decays >= min(_SHORTEST * data.interval_s, now[1])]
     pitches = now[0] + np.arange(-_PITCHES, _PITCHES + 1) * strides[1]
     pitches = pitches[(pitches > 0) & (pitches < 0.5 / data.interval_s)]
     size = decays.size * pitches.size
@@ -212,7 +243,7 @@ def _grid(fit: Fit, struck: _Struck, bare: Floats, now: tuple[float, float], str
         for first, end in zip(struck.at, ends, strict=True):
             heard[first:end] = True
         heard &= data.used
-        place, rows = np.cumsum(heard) - 1, int(heard.sum())
+        place, rows, left_over = np.cumsum(heard) - 1, int(heard.sum()), (bare / root)[heard]
         for at, pitch_hz in enumerate(pitches):
             waves = np.zeros((rows, 2 * count))
             for column, (first, end) in enumerate(zip(struck.at, ends, strict=True)):
@@ -225,7 +256,7 @@ def _grid(fit: Fit, struck: _Struck, bare: Floats, now: tuple[float, float], str
                         np.ascontiguousarray(shape), data.step_s[part], fit.states, fit.gains[part], data.used[part]
                     )
                     waves[filled, 2 * column + quadrature] = (left / root[part])[kept]
-            seen[of * pitches.size + at] = waves.T @ bare[heard]
+            seen[of * pitches.size + at] = waves.T @ left_over
             energy[of * pitches.size + at] = waves.T @ waves
     frequency_hz = np.tile(pitches, decays.size)
     passed = np.sinc(frequency_hz * data.aperture_s)
@@ -276,14 +307,14 @@ def _shown(until_s: Floats, aperture_s: float, decay_s: Floats) -> Floats:
     return np.asarray(np.maximum(decay_s / aperture_s * faded, 1e-6))
 
 
-def _drawn(grid: _Grid, tried: _Candidates, ratio: float, rng: np.random.Generator) -> tuple[Floats, Ints]:
-    """Return draws of the ratio and of the pair of pitch and decay."""
+def _drawn(grid: _Grid, tried: _Candidates, ratio: float, rng: np.random.Generator) -> tuple[Floats, Ints, Floats]:
+    """Return draws of the ratio and of the pair of pitch and decay, and the mean of each shock's wave, shape (s, 2)."""
     chains, count, instants = tried.amplitude.shape
     each, pairs = np.arange(chains), grid.decay_s.size
     turn = -1 / grid.decay_s + 2j * pi * grid.frequency_hz
     at: Ints = rng.integers(0, pairs, size=(chains,))
     chosen: Ints = rng.integers(0, instants, size=(chains, count))
-    ratios, told = np.full(chains, ratio), list[tuple[Floats, Ints]]()
+    ratios, told = np.full(chains, ratio), list[tuple[Floats, Ints, Floats]]()
     for sweep in range(_SETTLING + _SWEEPS):
         waves = tried.amplitude * np.exp(turn[at][:, None, None] * tried.before_s) * grid.passed[at][:, None, None]
         wave = np.stack((waves.imag, waves.real), -1)  # of e^(turn t) the imaginary part, by its quadratures
@@ -297,10 +328,12 @@ def _drawn(grid: _Grid, tried: _Candidates, ratio: float, rng: np.random.Generat
             odds = (wave[:, one] @ slope[:, :, None])[:, :, 0] - 0.5 * ratios[:, None] ** 2 * bent
             chosen[:, one] = np.argmax(odds + tried.log_odds[:, one] + rng.gumbel(size=odds.shape), axis=1)
             now[:, one] = wave[each, one, chosen[:, one]]
+        rings = np.mean(ratios[:, None, None] * now, axis=0)
         ratios, at = _numbers(grid, turn, tried, chosen, at, rng)
         if sweep >= _SETTLING:
-            told.append((ratios, at))
-    return np.concatenate([one for one, _ in told]), np.concatenate([one for _, one in told])
+            told.append((ratios, at, rings))
+    each_ratio, each_at, each_wave = zip(*told, strict=True)
+    return np.concatenate(each_ratio), np.concatenate(each_at), np.mean(each_wave, axis=0)
 
 
 def _numbers(

@@ -16,6 +16,7 @@ from aemd.diagnose.apertures import averaged_markov, averaged_out, averaged_pair
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.given import Given
 from aemd.diagnose.hypothesis import Base, Parts, signal_and_drift
+from aemd.diagnose.instants import one_ring
 from aemd.diagnose.result import Value
 from aemd.diagnose.terms.events import PeriodicGlitch, Popcorn, RingDown, ShockLaw
 from aemd.diagnose.terms.lines import Sines, WanderingLine
@@ -329,7 +330,7 @@ def _struck(terms: list[Any], fit: Fit, told: Told) -> tuple[list[Any], list[str
     if any(isinstance(term, Popcorn) for term in fit.terms):
         terms = [term for term in terms if not isinstance(term, model.Shocks)]
     shocks = next((term for term in terms if isinstance(term, model.Shocks)), None)
-    changes, rings, without = dict[str, Any](), list[dict[str, float]](), list[str]()
+    changes, rings, without = dict[str, Any](), list[tuple[float, float, float]](), list[str]()
     for number, term in enumerate(fit.terms):
         if not isinstance(term, ShockLaw | RingDown):
             continue
@@ -339,16 +340,15 @@ def _struck(terms: list[Any], fit: Fit, told: Told) -> tuple[list[Any], list[str
         elif isinstance(term, ShockLaw):
             changes["positive_fraction"] = float(0.5 + v[0] / 2)
         else:
-            known = told.get(number, {})
             figures = {item.name: item.value(v) for item in term.parameters(fit.data)}
-            rings.append({name: known[name].value if name in known else here for name, here in figures.items()})
+            figures |= {name: known.value for name, known in told.get(number, {}).items()}
+            rings.append((figures["frequency_hz"], figures["decay_s"], figures["ratio"]))
     if rings and shocks is not None:
-        room = shocks.ring_fraction == 0
-        without += ["ring_down"] * (len(rings) - room)
-        if room:
-            ring = max(rings, key=lambda each: each["ratio"])
-            changes["ring_fraction"] = ring["ratio"]
-            changes["ring_hz"], changes["ring_decay_s"] = ring["frequency_hz"], ring["decay_s"]
+        hz, decay_s, ratio = max(rings, key=lambda ring: ring[2])
+        if shocks.ring_fraction == 0:
+            changes |= {"ring_fraction": ratio, "ring_hz": hz, "ring_decay_s": decay_s}
+            rings = [ring for ring in rings if not one_ring(ring[:2], (hz, decay_s))]
+        without += ["ring_down"] * len(rings)
     return [replace(term, **changes) if isinstance(term, model.Shocks) else term for term in terms], without
 
 

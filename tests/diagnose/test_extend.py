@@ -153,6 +153,7 @@ def test_of_two_rings_the_louder_is_written_and_the_other_is_said_to_be_left_out
 
     assert the_ring_of(rung(*RINGS), {}) == ([(pytest.approx(0.5), 2.0, pytest.approx(0.5))], ("ring_down",))
     assert the_ring_of(rung(*RINGS), told) == ([(0.7, 3.0, 1.4)], ("ring_down",))
+    assert the_ring_of(rung(RINGS[1], RINGS[1]), {}) == ([(pytest.approx(0.2), 3.0, pytest.approx(1.5))], ())
     assert the_ring_of(rung(RINGS[1]), {}) == ([(pytest.approx(0.2), 3.0, pytest.approx(1.5))], ())
 
 

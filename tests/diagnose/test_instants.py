@@ -3,11 +3,12 @@
 from functools import cache
 
 import numpy as np
+import pytest
 
 from aemd.diagnose import instants
 from aemd.diagnose.checks.rings import likely_marks
 from aemd.diagnose.engine import _tables
-from aemd.diagnose.fit import refit
+from aemd.diagnose.fit import refit, residuals
 from aemd.diagnose.hypothesis import Base, base_box, make_data
 from aemd.diagnose.instants import rings
 from aemd.diagnose.intervals import covariance, describe
@@ -84,21 +85,33 @@ def test_of_another_term_nothing_is_drawn():
     assert rings(rung(0), 0, covariance(rung(0))) is None
 
 
-def test_a_loud_ring_that_is_fitted_far_too_short_is_found_as_it_is():
-    """Of several angles a wave of one tells a short piece; its deviations do not reach from there to the truth.
+@pytest.mark.parametrize("deviations", [1.0, 5.0])
+def test_a_loud_ring_that_is_fitted_far_too_short_is_found_as_it_is(deviations):
+    """A wave of one angle tells a short piece of several; whatever deviation it has, it does not tell the ring's.
 
     As wide as an interval is at least: of e^(-t/d), its amplitude known, the logarithm of d has the information
     sum of a^2 d/(8 h) in white noise of deviation 1, h from reading to reading; half of that where it is not known.
     """
     fit, sizes = loud()
-    told = describe(fit, 1, covariance(fit))
+    spread = covariance(fit)
+    spread[9:11, 9:11] *= deviations**2
+    told = describe(fit, 1, spread)
     information = np.sum((LOUD * sizes) ** 2) * LOUD_S / (8 * INTERVAL_S)
     wide = np.log(told["decay_s"].high / told["decay_s"].low) / (2 * 1.96)
 
     assert np.exp(fit.parts_of(1)[0]) < 0.5 * LOUD_S
-    assert told["decay_s"].low < LOUD_S < told["decay_s"].high
-    assert told["frequency_hz"].low < LOUD_HZ < told["frequency_hz"].high
-    assert 0.8 / np.sqrt(information) < wide < 1.6 / np.sqrt(information / 2)
+    for name, true in (("decay_s", LOUD_S), ("frequency_hz", LOUD_HZ), ("ratio", LOUD)):
+        assert told[name].low < true < told[name].high
+    assert 0.8 / np.sqrt(information) < wide < 1.4 / np.sqrt(information / 2)
+
+
+def test_a_ring_that_is_fitted_as_two_halves_is_told_whole():
+    fit, spread = rung(0), covariance(rung(0))
+    half = fit.parts_of(1) * np.array([1.0, 1.0, 0.5, 0.5])
+    theta = np.concatenate((fit.parts_of(0), half, half))
+    halves = residuals([*fit.terms, fit.terms[1]], theta, fit.data)
+
+    assert np.median(rings(halves, 1, spread)["ratio"]) == pytest.approx(np.median(rings(fit, 1, spread)["ratio"]))
 
 
 def test_where_no_grid_is_about_the_ring_nothing_is_drawn(monkeypatch):
