@@ -15,6 +15,7 @@ from aemd.diagnose.sharpened import sharpened
 from aemd.diagnose.starts import spectral_starts, usual_starts, with_drift, without_jumps
 from aemd.diagnose.terms.events import Popcorn
 from aemd.diagnose.terms.noise import DifferenceNoise, Smoothing
+from aemd.diagnose.terms.shapes import Step
 
 __all__ = [
     "Fit",
@@ -40,6 +41,7 @@ _LONG = 20_000  # readings beyond which the mixture is first fitted to a part
 _LEAST_WHITE = 1e-8  # variance; what apertures average out may leave less than none
 _DECAYS = tuple(0.3 * 1.6**k for k in range(2, 10))
 """Intervals that shocks of the starts take to decay."""
+_AT_BOUND = 0.01  # of the logarithm of the shocks' decay
 _SHOCK_SD = 7  # of the base's free numbers
 _STARTERS = 6
 _FINALISTS = 2
@@ -152,19 +154,26 @@ def fit_base(data: Data) -> Fit:
         return fit
     # A handful of events may be one step, which slow shocks imitate: then the base is the one without, and a check of
     # the residuals has the step to find.
-    if np.exp(shocked.theta[6]) * data.span_s < _FEW_SHOCKS and _with_step(fit) > shocked.log_likelihood:
+    few = np.exp(shocked.theta[6]) * data.span_s < _FEW_SHOCKS
+    slow = shocked.theta[8] > shocked.base.box[8][1] - _AT_BOUND
+    if (few or slow) and _with_step(fit) > shocked.log_likelihood:
         return fit
     return shocked
 
 
 def _with_step(fit: Fit) -> float:
-    """Return the log-likelihood with the one step that the residuals show most clearly, less what its place costs."""
-    z = np.abs(fit.z)
-    at = int(np.argmax(z))
-    shape = (np.arange(z.size) >= at).astype(np.float64)
+    """Return the log-likelihood with the one step that the residuals show most clearly, less what its place costs.
+
+    All is fitted again: a large step has widened whatever the fit without it could move by.
+    """
+    data = fit.data
+    at = int(np.argmax(np.abs(fit.z)))
+    shape = (np.arange(fit.z.size) >= at).astype(np.float64)
     left = fit.whitened(shape)
-    size = float(left @ left)
-    return fit.log_likelihood + 0.5 * float(left @ fit.z) ** 2 / size - log(z.size) if size > 0 else -np.inf
+    size = float(left @ fit.z) / max(float(left @ left), 1e-300)
+    start = spectral_starts(replace(data, y=data.y - size * shape))[0]
+    step = Step(float(data.t_s[at]), size, log(fit.z.size))
+    return refit([*fit.terms, step], data, np.append(start, size)).log_likelihood - step.cost_nats
 
 
 def _with_shocks(fit: Fit) -> Fit | None:

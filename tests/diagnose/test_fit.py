@@ -114,3 +114,13 @@ def test_climbs_that_meet_go_on_as_one_and_the_best_comes_first():
 
     assert len(ranked) == 1
     assert ranked[0].value >= score_log_likelihood([term], true, data)
+
+
+@pytest.mark.parametrize("times_the_signal", [5.0, 20.0, 50.0])
+def test_a_step_of_any_size_is_no_shock_that_never_fades(times_the_signal):
+    """The base without shocks is kept, for the search of steps to find it."""
+    rng = np.random.default_rng(1)
+    y = markov(rng, 1_500, 1.0, 1.0) + markov(rng, 1_500, 100.0, 1.0) + 0.5 * rng.standard_normal(1_500)
+    y[700:] += times_the_signal
+
+    assert not fit_base(make_data(series(1e-2 * y))).base.shocks
