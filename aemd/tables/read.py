@@ -57,8 +57,8 @@ def import_csv(path: Path, out: Path, *, unit: str = "V", scale: float = 1.0) ->
     `time` is seconds, rising, since 1970 or since whenever the log began; it is kept as given, rounded to nanoseconds.
     `value` times `scale` is a value in `unit`; V, mV, uV and nV are recorded in volts, any other unit as it is. A value
     that is empty or not finite is a reading with the status INVALID. Each further column becomes the witness topic of
-    its name; an empty cell there is no value. The nominal interval is that of the grid on
-    which the stamps of the first 65,536 readings lie.
+    its name; an empty cell there is no value. The nominal interval is that of the grid on which the stamps of the first
+    65,536 readings lie.
 
     Args:
         path: the table; .gz is unpacked.
@@ -224,7 +224,7 @@ def _open_text(path: Path) -> Iterator[IO[str]]:
 
 
 def _interval_s(t_ns: NDArray[np.int64]) -> float:
-    if len(t_ns) == 1:
+    if len(t_ns) < 2:
         return 0.0
     time_s = (t_ns - t_ns[0]) * 1e-9
     first_s = first_interval_of(time_s)

@@ -51,9 +51,7 @@ def missing_samples(series: Series) -> Defect | None:
             "gaps": exact(gaps, ""),
             "fraction": exact((lost + invalid) / (lost + series.index.size), ""),
         },
-        experiment=look
-        if lost
-        else "their places are kept and have no value; ask what writes the file when it does so",
+        experiment=look if lost else "their places are there without a value; ask what writes the file when it does so",
         check="readings missing",
         observed=lost + invalid,
         expected=0,
@@ -116,8 +114,8 @@ def _off_nominal(series: Series) -> Defect | None:
     if series.nominal_interval_s <= 0:
         return None
     grid = series.slot
-    slope, _ = np.polyfit(grid, series.time_s, 1)
-    left = series.time_s - np.polyval(np.polyfit(grid, series.time_s, 1), grid)
+    slope, start = np.polyfit(grid, series.time_s, 1)
+    left = series.time_s - (start + slope * grid)
     error = float(np.std(left)) * sqrt(12) / (grid[-1] * sqrt(grid.size)) / series.nominal_interval_s
     return _clock_defect(float(slope) / series.nominal_interval_s, error, "interval over the nominal one, minus 1")
 
