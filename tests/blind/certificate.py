@@ -24,9 +24,18 @@ any instant can imitate the effect, as they can a step. Kind of D by cause, in K
                  carry, but the D at which a Gaussian ratio is found as often, with the plant's own shocks, whose one
                  law cannot be that of the tails as well (see tails.py)
     counted      nothing is refitted: the effect is seen by counting, and a size is drawn instead of a D
+
+Of two at once each has the D that is left of it where the other is there too, and known:
+
+D = E[log p(readings | plant with both)] - E[log p(readings | the best plant with the other alone)]
+
+As if it were alone it had more: differenced noise at twice the limit took nine tenths of a resonance's, which stands on
+it as on the plant's noise. What the other adds to the covariance stays in the refitted plant's spectrum, part of the
+record by part where the noise changes, and takes of a mean the share that it takes at its frequencies; a mean that is
+known is subtracted, and costs nothing; a quantiser's steps q are white noise of q^2/12.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import exp, log, pi, sqrt
 
@@ -36,11 +45,13 @@ from scipy.special import ndtri
 
 from tests.blind.gaussian import (
     Disturbances,
+    Part,
     disturbances,
     energy,
     markov_spectrum,
     numbers,
     refit,
+    same,
     spectrum,
     turns,
 )
@@ -83,43 +94,85 @@ KINDS = dict.fromkeys(AT_INPUT, "mean") | {
 }
 
 
-def d_nats(run: Run, effect: Effect, shown: "Shown | None" = None) -> float:
-    """Return D of an effect in an otherwise clean run; NaN where it is counted.
+def d_nats(run: Run, effect: Effect, shown: "Shown | None" = None, beside: Sequence[Effect] = ()) -> float:
+    """Return D of an effect in a run that is clean but for what is `beside` it, and known; NaN where it is counted.
 
     `shown` is what one unit of it shows, where that is known from another size of it.
+
+    Raises:
+        ValueError: of this kind, or beside that one, nobody has written D of two.
     """
     plant, n = run.plant, run.plant.n
     kind, theta = KINDS[effect.cause], numbers(plant)
     if kind == "counted":
         return float("nan")
+    if beside and kind not in ("mean", "covariance"):
+        raise ValueError(f"{effect.cause}: D beside another effect is not written")
     if effect.cause == "signal_dependent_noise":
         return louder_kl(run, effect)
     if effect.cause == "heavy_tails":
         return tails_nats(run, effect, LEVEL / 2)
     if kind == "innovation":
         return n * innovation_kl(plant, effect, len(make_world(run).shocks))
-    clean_s = spectrum(theta, plant)
+    clean_s, known = spectrum(theta, plant), [WHOLE]
+    for other in beside:
+        known = [both(one, more) for one in known for more in covariance(plant, other)]
     if kind in ("mean", "path"):
         shown = shown or show(run, effect)
-        known = refit(theta, plant, [(1.0, clean_s)], effect.size * shown.unit, shown.beside)
+        parts = [Part(share, change(clean_s), change) for share, change in known]
+        d = refit(theta, plant, parts, effect.size * shown.unit, shown.beside)
         if shown.instants is not None:
-            known -= cost_of_instants(*shown.instants, effect.size)
-        known += effect.size**2 * shown.slope + effect.size * shown.edge
-        return known - (path_cost(shown.unit, effect, plant, shown.beside) if kind == "path" else 0.0)
+            d -= cost_of_instants(*shown.instants, effect.size)
+        d += effect.size**2 * shown.slope + effect.size * shown.edge
+        return d - (path_cost(shown.unit, effect, plant, shown.beside) if kind == "path" else 0.0)
+    parts = [
+        Part(share * part, change(other(clean_s)), other)
+        for share, other in known
+        for part, change in covariance(plant, effect)
+    ]
+    return refit(theta, plant, parts, None)
+
+
+Change = tuple[float, Callable[[np.ndarray], np.ndarray]]
+"""A share of the record, and what becomes of the spectrum there."""
+WHOLE: Change = (1.0, same)
+
+
+def both(first: Change, second: Change) -> Change:
+    """Return two changes, one upon the other, in the share that they have in common if neither tells of the other."""
+    if first is WHOLE:
+        return second
+    return first[0] * second[0], lambda s: second[1](first[1](s))
+
+
+def covariance(plant: Plant, effect: Effect) -> list[Change]:
+    """Return what an effect that is there makes of the spectrum: nothing, if it is a mean, which is subtracted."""
+
+    def louder(variance_V2: float) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda s: s + variance_V2
+
+    if KINDS[effect.cause] == "mean":
+        return [WHOLE]
+    if effect.cause == "quantisation":
+        return [(1.0, louder(effect.size**2 / 12))]
     if effect.cause == "changing_noise":
         part = effect.shape["end"] - effect.shape["begin"]
-        changed_s = clean_s + (effect.size**2 - 1) * plant.white_sd_V**2
-        return refit(theta, plant, [(1 - part, clean_s), (part, changed_s)], None)
+        return [(1 - part, same), (part, louder((effect.size**2 - 1) * plant.white_sd_V**2))]
     if effect.cause == "ooc_breath":  # a sine's turn by six of its instants, of which four differ
-        parts = ((1 / 3, 0.5), (1 / 3, -0.5), (1 / 6, 1.0), (1 / 6, -1.0))
-        louder = [(part, plant.white_sd_V**2 * (exp(2 * effect.size * at) - 1)) for part, at in parts]
-        return refit(theta, plant, [(part, clean_s + more) for part, more in louder], None)
-    return refit(theta, plant, [(1.0, EXTENDED[effect.cause](clean_s, effect, plant))], None)
+        turn = ((1 / 3, 0.5), (1 / 3, -0.5), (1 / 6, 1.0), (1 / 6, -1.0))
+        return [(part, louder(plant.white_sd_V**2 * (exp(2 * effect.size * at) - 1))) for part, at in turn]
+    if effect.cause in EXTENDED:
+        return [(1.0, lambda s: EXTENDED[effect.cause](s, effect, plant))]
+    raise ValueError(f"{effect.cause}: what it makes of the spectrum beside another effect is not written")
 
 
-def size_for(d_target: float, run: Run, effect: Effect, low: float, high: float) -> Effect | None:
-    """Return the effect with the size that has this D, within a range; None where no size there has it."""
+def size_for(
+    d_target: float, run: Run, effect: Effect, low: float, high: float, beside: Sequence[Effect] = ()
+) -> Effect | None:
+    """Return the effect with the size that has this D, within a range; None where no size there has it.
 
+    Beside others, whose sizes are sought in turn with its own, the search begins at the size that it has.
+    """
     shown = None
     if KINDS[effect.cause] in ("mean", "path"):
         shown = show(run, effect)
@@ -127,9 +180,9 @@ def size_for(d_target: float, run: Run, effect: Effect, low: float, high: float)
             return None  # such as a ring-down without a shock
 
     def excess(log_size: float) -> float:
-        return log(max(d_nats(run, replace(effect, size=exp(log_size)), shown), 1e-9)) - log(d_target)
+        return log(max(d_nats(run, replace(effect, size=exp(log_size)), shown, beside), 1e-9)) - log(d_target)
 
-    at, slope = first_guess(d_target, run, effect, shown, low, high), 2.0
+    at, slope = log(effect.size) if beside else first_guess(d_target, run, effect, shown, low, high), 2.0
     beyond = excess(at)
     for _ in range(8):  # secant steps, for a curve that is nearly straight in logarithms
         if abs(beyond) < 0.03:

@@ -1,18 +1,19 @@
 """What is hidden in which run: drawn from a salt that nobody knows before the key is opened.
 
 A mix has so many envelopes of each group: clean ones (a third of them provocative), each mechanism at 1.25 times the
-amplitude of a clairvoyant and at other factors of it, two at once, one that the catalogue does not have, one too small
-to be seen, and one large enough to measure what knowing it is worth. Plant, length, rate, level, format, gaps and
-thermometer are drawn before, and apart from, what is hidden, so that none of them tells of it.
+amplitude of a clairvoyant and at other factors of it up to ten, two at once, one that the catalogue does not have, one
+too small to be seen, and one large enough to measure what knowing it is worth. Plant, length, rate, level, format, gaps
+and thermometer are drawn before, and apart from, what is hidden, so that none of them tells of it.
 """
 
 from dataclasses import dataclass, replace
-from math import exp, log, pi, sqrt
+from math import exp, inf, log, pi, sqrt
 
 import numpy as np
 
 from tests.blind.certificate import KINDS, clairvoyant_d95, d_nats, size_for
-from tests.blind.plant import Effect, Plant, Run
+from tests.blind.injector import make_record
+from tests.blind.plant import Effect, Plant, Run, make_world, supply
 
 __all__ = [
     "BELOW_D",
@@ -20,17 +21,25 @@ __all__ = [
     "LADDER",
     "OUTSIDE",
     "SINGLE",
+    "STRONG",
     "Envelope",
     "Mix",
+    "beside_each_other",
     "draw",
     "draw_effect",
     "draw_ladder",
     "draw_plant",
 ]
 
-FACTORS = (0.6, 0.8, 1.0, 1.25, 1.6)
+FACTORS = (0.6, 0.8, 1.0, 1.25, 1.6, 3.0, 10.0)
 """Of the amplitude at which a clairvoyant detects in 95 %."""
 LADDER = 1.25
+STRONG = 3.0
+"""From this factor on an effect is strong: it should be found, and told from others, whatever the plant."""
+PLANTS = 40
+"""That are tried for a strong effect; if none carries it, it is the largest that one of them does."""
+TURNS = 8
+"""In which two effects are sized, each beside the other."""
 LADDER_STREAM = 1 << 32  # apart from the streams of the other groups
 LONG_SHARE = 0.15  # of the provocative plants; 20,000 to 100,000 readings are a day's work for a thousand of them
 BELOW_D = 1.5  # nats: nobody detects that at these levels
@@ -69,8 +78,9 @@ SINGLE = (
 """Hidden alone. Flicker noise, a random walk and a third Markov process are not among them: on records of these lengths
 the refitted base absorbs them."""
 OUTSIDE = ("ooc_packet", "ooc_bump", "ooc_echo", "ooc_gain_step", "ooc_saw", "ooc_sweep", "ooc_breath")
-DOUBLE = ("periodic_interference", "difference_noise", "changing_noise", "quantisation", "reading_pattern", "resonance")
-
+DOUBLE = ("periodic_interference", "resonance", "changing_noise", "difference_noise", "reading_pattern", "quantisation")
+"""In the order in which they act, for which D of two holds: the noise that changes is the plant's alone, and the
+quantiser is the last."""
 
 UNCOUNTED = tuple(cause for cause in SINGLE if KINDS[cause] != "counted")
 GAINFUL = (
@@ -99,9 +109,11 @@ class Envelope:
     run: Run
     suffix: str
     d_nats: tuple[float, ...] = ()
-    """Of each effect; NaN where it is counted."""
+    """Of each effect, the others being known; NaN where it is counted."""
     factor: float = 0.0
-    """Of the clairvoyant's amplitude; 0 where it is counted, or nothing is hidden, or it was sized by D alone."""
+    """Of the clairvoyant's amplitude; 0 where it is counted, or nothing is hidden, or it was sized by D alone.
+
+    Of a strong effect what was reached, which may lie between FACTORS."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +125,7 @@ class Mix:
     rungs: int = 4
     """Of each mechanism, at LADDER times the clairvoyant's amplitude."""
     singles: int = 42
-    """Each mechanism in turn, at the other factors in turn."""
+    """Each mechanism that is not counted in turn, at the other factors in turn: 126 are all once."""
     doubles: int = 12
     outside: int = 14
     below: int = 10
@@ -145,7 +157,8 @@ def draw(salt: str, ticket: tuple[str, int]) -> Envelope:
         run = Run(draw_plant(rng, provocative=provocative), int(rng.integers(2**62)))
         return Envelope(number, "provocative" if provocative else "clean", run, suffix)
     if group == "double":
-        return hide(rng, number, group, suffix, tuple(map(str, rng.choice(DOUBLE, 2, replace=False))), 2.0)
+        two = sorted(map(str, rng.choice(DOUBLE, 2, replace=False)), key=DOUBLE.index)
+        return hide(rng, number, group, suffix, tuple(two), 2.0)
     if group == "outside":
         return hide(rng, number, group, suffix, (OUTSIDE[number % len(OUTSIDE)],), 2.0)
     if group == "gain":
@@ -155,7 +168,10 @@ def draw(salt: str, ticket: tuple[str, int]) -> Envelope:
     if group == "below":
         return hide(rng, number, group, suffix, (cause,), 0.0, BELOW_D)
     others = [factor for factor in FACTORS if factor != LADDER]
-    return hide(rng, number, group, suffix, (cause,), others[number // len(UNCOUNTED) % len(others)])
+    factor = others[number // len(UNCOUNTED) % len(others)]
+    if factor >= STRONG:
+        return hide_strong(rng, number, suffix, cause, factor)
+    return hide(rng, number, group, suffix, (cause,), factor)
 
 
 def hide(
@@ -167,17 +183,64 @@ def hide(
     factor: float,
     d_target: float = 0.0,
 ) -> Envelope:
-    """Return an envelope with these effects of a factor of the clairvoyant's amplitude, or of `d_target` nats."""
+    """Return an envelope with these effects of a factor of the clairvoyant's amplitude, or of `d_target` nats.
+
+    Of two, each has that amplitude where the other is known.
+    """
     while True:  # until the plant that was drawn can carry what is to be hidden
         plant = draw_plant(rng)
         if group == "gain":  # the oracle knows nothing of shocks
             plant = replace(plant, shocks_per_s=0.0)
         run = Run(plant, int(rng.integers(2**62)))
-        hidden = [effect for cause in causes if (effect := draw_effect(rng, run, cause, factor, d_target))]
+        hidden = tuple(effect for cause in causes if (effect := draw_effect(rng, run, cause, factor, d_target)))
+        if len(hidden) == len(causes) > 1:
+            hidden = beside_each_other(run, hidden, factor) or ()
         if len(hidden) == len(causes):
-            d = tuple(d_nats(run, effect) for effect in hidden)
+            d = tuple(d_nats(run, effect, beside=others(hidden, effect)) for effect in hidden)
             factor = 0.0 if any(KINDS[cause] == "counted" for cause in causes) else factor
-            return Envelope(number, group, replace(run, effects=tuple(hidden)), suffix, d, factor)
+            return Envelope(number, group, replace(run, effects=hidden), suffix, d, factor)
+
+
+def others(effects: tuple[Effect, ...], effect: Effect) -> tuple[Effect, ...]:
+    return tuple(other for other in effects if other is not effect)
+
+
+def beside_each_other(run: Run, effects: tuple[Effect, ...], factor: float) -> tuple[Effect, ...] | None:
+    """Return effects of sizes at which each has a factor of its clairvoyant's amplitude though the others are there.
+
+    In turns, since a larger one makes others need to be larger; None where that finds no end.
+    """
+    for _ in range(TURNS):
+        before = effects
+        for effect in effects:
+            if KINDS[effect.cause] == "counted":
+                continue
+            target = factor**2 * clairvoyant_d95(effect.cause, run.plant.n)
+            sized = size_for(target, run, effect, *sizes(run, effect.cause), others(effects, effect))
+            if sized is None:
+                return None
+            effects = tuple(sized if other is effect else other for other in effects)
+        if all(abs(now.size / was.size - 1) < 0.01 for now, was in zip(effects, before, strict=True)):
+            return effects
+    return None
+
+
+def hide_strong(rng: np.random.Generator, number: int, suffix: str, cause: str, factor: float) -> Envelope:
+    """Return an envelope with one effect of a large factor of the clairvoyant's amplitude, or as large as may be."""
+    carried: list[Envelope] = []
+    while len(carried) < PLANTS:
+        run = Run(draw_plant(rng), int(rng.integers(2**62)))
+        effect = draw_effect(rng, run, cause, factor, largest=True)
+        if effect is None:
+            continue
+        d = d_nats(run, effect)
+        reached = sqrt(d / clairvoyant_d95(cause, run.plant.n))
+        whole = reached > 0.97 * factor
+        hidden = replace(run, effects=(effect,))
+        carried.append(Envelope(number, "single", hidden, suffix, (d,), factor if whole else round(reached, 2)))
+        if whole:
+            break
+    return max(carried, key=lambda envelope: envelope.factor)
 
 
 def draw_ladder(salt: str, number: int) -> Envelope:
@@ -236,10 +299,13 @@ def with_shocks(rng: np.random.Generator, plant: Plant, per_minute: float, loud:
     return replace(plant, shocks_per_s=per_minute / 60, shock_sd_V=loud * plant.signal_sd_V, shock_decay_s=decay_s)
 
 
-def draw_effect(rng: np.random.Generator, run: Run, cause: str, factor: float, d_target: float = 0.0) -> Effect | None:
+def draw_effect(
+    rng: np.random.Generator, run: Run, cause: str, factor: float, d_target: float = 0.0, *, largest: bool = False
+) -> Effect | None:
     """Return an effect of `factor` times the clairvoyant's amplitude, or of `d_target` nats where that is given.
 
-    None where this plant cannot carry it: no shocks, no thermometer, or no size that reaches so far.
+    None where this plant cannot carry it: no shocks, no thermometer, or no size that reaches so far; with `largest`,
+    then the largest size.
     """
     plant = run.plant
     if cause in ("ring_down", "shock_law") and plant.shocks_per_s * plant.n * plant.interval_s < 5:
@@ -249,18 +315,36 @@ def draw_effect(rng: np.random.Generator, run: Run, cause: str, factor: float, d
     shape = draw_shape(rng, plant, cause)
     if shape is None:
         return None
-    unit_V = plant.signal_sd_V
     if KINDS[cause] == "counted":
         low, high = COUNTED[cause]
-        size = 10 ** rng.uniform(np.log10(low), np.log10(high)) * (unit_V if cause in IN_VOLTS else 1.0)
-        return Effect(cause, size, shape)
+        size = 10 ** rng.uniform(np.log10(low), np.log10(high))
+        return Effect(cause, size * (plant.signal_sd_V if cause in IN_VOLTS else 1.0), shape)
     target = d_target or factor**2 * clairvoyant_d95(cause, plant.n)
-    low, high = RANGES.get(cause, (1e-4 * unit_V, 1e3 * unit_V))
+    low, high = sizes(run, cause)
+    if largest:
+        high = min(high, still_a_scale(run, cause))
+    effect = Effect(cause, 1.0, shape)
+    return size_for(target, run, effect, low, high) or (replace(effect, size=high) if largest else None)
+
+
+def sizes(run: Run, cause: str) -> tuple[float, float]:
+    """Return the range in which a size is sought."""
+    unit_V = run.plant.signal_sd_V
     if cause == "nonlinearity":
-        low, high = 1e-4 / unit_V, 1 / unit_V
+        return 1e-4 / unit_V, 1 / unit_V
     if cause == "supply_coupling":
-        low, high = 1e-4, 1e3
-    return size_for(target, run, Effect(cause, 1.0, shape), low, high)
+        return 1e-4, 1e3
+    return RANGES.get(cause, (1e-4 * unit_V, 1e3 * unit_V))
+
+
+def still_a_scale(run: Run, cause: str) -> float:
+    """Return the size up to which what a meter shows still rises with what it reads, by a fifth of it or more."""
+    if cause == "nonlinearity":
+        value = make_record(replace(run, effects=())).value_V
+        return float(0.4 / np.max(np.abs(value - value.mean())))
+    if cause == "supply_coupling":
+        return float(0.8 / np.max(np.abs(supply(make_world(run)) - 5)))
+    return inf
 
 
 COUNTED = {

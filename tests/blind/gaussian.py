@@ -1,6 +1,6 @@
 """The clean plant as a Gaussian process: five numbers, their spectrum, and the whitening of what comes on top of it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil, exp, log, sqrt
 
@@ -12,11 +12,13 @@ from tests.blind.plant import Plant, Run, make_world
 
 __all__ = [
     "Disturbances",
+    "Part",
     "disturbances",
     "energy",
     "markov_spectrum",
     "numbers",
     "refit",
+    "same",
     "spectrum",
     "turns",
     "whiten",
@@ -86,23 +88,50 @@ def disturbances(run: Run) -> Disturbances:
     return Disturbances(kept, mark_var, part, exp(-plant.interval_s / decay_s))
 
 
+def same(s: np.ndarray) -> np.ndarray:
+    return s
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of the record, in no order."""
+
+    share: float
+    true_s: np.ndarray
+    known: Callable[[np.ndarray], np.ndarray] = same
+    """What who refits the plant knows to be there besides, as a change of the plant's spectrum."""
+
+
 def refit(
     theta: np.ndarray,
     plant: Plant,
-    true_s: Sequence[tuple[float, np.ndarray]],
+    parts: Sequence[Part],
     mean: np.ndarray | None,
     beside: Disturbances | None = None,
 ) -> float:
-    """Return the least that the best clean plant loses; the true spectrum in segments, each with its share."""
+    """Return the least that the best clean plant loses, beside what is known to be there.
+
+    Of a mean, what is known besides takes the share that it takes of each of its frequencies: of what lasts, as a line
+    does, but not of a step.
+    """
     count = plant.n if beside is None else np.count_nonzero(beside.kept)
+    alone = all(part.known is same for part in parts)
+    power = np.zeros(0) if mean is None else np.abs(np.fft.rfft(mean - np.mean(mean))[1 : plant.n // 2]) ** 2
 
     def lost(s: np.ndarray) -> float:
-        return count / 2 * sum(share * float(np.mean(true / s - np.log(true / s) - 1)) for share, true in true_s)
+        ratios = ((part.share, part.true_s / part.known(s)) for part in parts)
+        return count / 2 * sum(share * float(np.mean(ratio - np.log(ratio) - 1)) for share, ratio in ratios)
+
+    def left(s: np.ndarray) -> float:
+        if alone:
+            return 1.0
+        return sum(part.share * float(np.sum(power / part.known(s))) for part in parts) / float(np.sum(power / s))
 
     def loss(numbers: np.ndarray) -> float:
+        s = spectrum(numbers, plant)
         if mean is None:
-            return lost(spectrum(numbers, plant) + averaged_out(numbers, plant))
-        return lost(spectrum(numbers, plant)) + energy(numbers, plant, mean, beside) / 2
+            return lost(s + averaged_out(numbers, plant))
+        return lost(s) + energy(numbers, plant, mean, beside) / 2 * left(s)
 
     slower = theta + np.array([0.0, 0.0, 2.0, 2.0, 0.0])
     starts = [min((theta, slower), key=loss)]  # what is slow leads a drift that begins as it is into a lesser minimum

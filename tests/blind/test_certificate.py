@@ -5,8 +5,10 @@ from itertools import product
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
-from tests.blind.certificate import d_nats, edge_of_range
+from tests.blind.certificate import clairvoyant_d95, d_nats, edge_of_range
+from tests.blind.envelope import beside_each_other
 from tests.blind.gaussian import disturbances, energy, numbers
 from tests.blind.injector import calm, template
 from tests.blind.instants import cost_of_instants, ringing, wave
@@ -171,3 +173,61 @@ def test_an_offset_towards_the_other_range_is_shared_ground_and_tells_less():
     density = WHITE.n * 0.3863 / WHITE.white_sd_V  # of a normal law at its quantile of 0.6
     assert away == pytest.approx(density, rel=0.15)
     assert towards == pytest.approx((2 * np.log(2) - 1) * density, rel=0.15)
+
+
+RESONANCE = Effect("resonance", 1.2e-3, {"frequency_hz": 4.0, "quality": 10.0})
+DIFFERENCED = Effect("difference_noise", 1e-3)
+LINE = Effect("periodic_interference", 6e-4, {"frequency_hz": 5.2, "phase_rad": 0.3})
+CHANGING = Effect("changing_noise", 2.5, {"begin": 0.4, "end": 0.9})
+
+
+@pytest.mark.parametrize(
+    ("effect", "other"),
+    [(RESONANCE, DIFFERENCED), (LINE, CHANGING)],
+    ids=["resonance-differenced", "line-changing"],
+)
+def test_d_of_one_beside_another_is_what_the_dense_covariances_lose(effect, other):
+    plant = replace(USUAL, n=128, drift_tau_s=20.0)
+    lag = np.abs(np.subtract.outer(np.arange(plant.n), np.arange(plant.n)))
+    t_s, part = lag * plant.interval_s, np.arange(plant.n) / plant.n
+    seen = np.sinc(4.0 * plant.inside * plant.step_s)
+    added = {
+        "resonance": (RESONANCE.size * seen) ** 2 * np.exp(-np.pi * 4.0 / 10 * t_s) * np.cos(2 * np.pi * 4.0 * t_s),
+        "difference_noise": DIFFERENCED.size**2 * (2.0 * (lag == 0) - 1.0 * (lag == 1)),
+        "changing_noise": np.diag(((part >= 0.4) & (part < 0.9)) * (2.5**2 - 1) * plant.white_sd_V**2),
+    }
+
+    def covariance(theta):
+        slow = sum(np.exp(theta[j] - t_s / np.exp(theta[j + 1])) for j in (0, 2))
+        return slow + np.exp(theta[4]) * np.eye(plant.n) + added[other.cause]
+
+    run, theta = Run(plant, seed=4), numbers(plant)
+    true = covariance(theta) + added.get(effect.cause, 0.0)
+    mean = template(run, LINE) * LINE.size if effect is LINE else np.zeros(plant.n)
+    scatter, log_det = true + np.outer(mean, mean), np.linalg.slogdet(true)[1]
+
+    def lost(free):
+        wrong = covariance(free)
+        return (np.trace(np.linalg.solve(wrong, scatter)) - plant.n + np.linalg.slogdet(wrong)[1] - log_det) / 2
+
+    expected = minimize(lost, theta, method="L-BFGS-B", bounds=[(value - 6, value + 6) for value in theta]).fun
+    assert d_nats(run, effect, beside=(other,)) == pytest.approx(expected, rel=0.12)
+    assert d_nats(run, effect) > 1.3 * expected
+
+
+def test_of_a_mean_that_is_known_nothing_is_left_in_the_way():
+    run, pattern = Run(replace(USUAL, n=400), seed=4), Effect("reading_pattern", 4e-4, {"period_readings": 3.0})
+
+    assert d_nats(run, LINE, beside=(pattern,)) == d_nats(run, LINE)
+
+
+def test_two_at_once_have_their_sizes_beside_each_other():
+    run = Run(replace(USUAL, n=600), seed=4)
+
+    sized = beside_each_other(run, (LINE, DIFFERENCED), 2.0)
+
+    assert sized is not None
+    for effect, other in (sized, sized[::-1]):
+        target = 4 * clairvoyant_d95(effect.cause, run.plant.n)
+        assert d_nats(run, effect, beside=(other,)) == pytest.approx(target, rel=0.05)
+    assert d_nats(run, sized[0]) > 1.2 * d_nats(run, sized[0], beside=sized[1:])
