@@ -228,12 +228,16 @@ def beside_each_other(run: Run, effects: tuple[Effect, ...], factor: float) -> t
 def hide_strong(rng: np.random.Generator, number: int, suffix: str, cause: str, factor: float) -> Envelope:
     """Return an envelope with one effect of a large factor of the clairvoyant's amplitude, or as large as may be."""
     carried: list[Envelope] = []
-    while len(carried) < PLANTS:
+    tried = 0
+    while tried < PLANTS or not carried:
         run = Run(draw_plant(rng), int(rng.integers(2**62)))
         effect = draw_effect(rng, run, cause, factor, largest=True)
         if effect is None:
             continue
+        tried += 1
         d = d_nats(run, effect)
+        if d <= 0:
+            continue
         reached = sqrt(d / clairvoyant_d95(cause, run.plant.n))
         whole = reached > 0.97 * factor
         hidden = replace(run, effects=(effect,))
@@ -365,6 +369,7 @@ RANGES = {
     "signal_dependent_noise": (1e-3, 3.0),
     "heavy_tails": (1e-3, 0.99),
     "shock_law": (1e-2, 0.9999),
+    "ring_down": (1e-4, 10.0),
     "ooc_echo": (1e-3, 0.9),
     "ooc_gain_step": (1e-3, 10.0),
     "ooc_breath": (1e-3, 2.0),

@@ -6,7 +6,7 @@ from math import isnan, sqrt
 from statistics import mean, median
 
 from tests.blind.certificate import LEVEL
-from tests.blind.envelope import FACTORS, LADDER
+from tests.blind.envelope import FACTORS, LADDER, STRONG
 from tests.blind.rivals import TOLD_APART
 from tests.blind.score import (
     ALONE,
@@ -33,8 +33,10 @@ from tests.blind.score import (
     pooled,
     probability_of_truth,
     rows,
+    rung,
     share,
     share_band,
+    strong,
     told_apart,
 )
 
@@ -112,6 +114,10 @@ def owed(pairs: Sequence[Pair], by_row: Sequence[Row]) -> Iterable[Owed]:
     odd = [f"{cause} {text(one)}" for cause, one in power.items() if at_odds(one, 0.95, 0.999)]
     yield Owed("of these at odds with 95 % (99.9 % of its law)", listed(odd), "none", none_of(odd, power))
 
+    plain = share(found, strong(pairs))
+    times = f"at {STRONG:g} times and more"
+    yield Owed(f"found {times}", f"{text(plain)} {band(plain)}", ">= 95 %", is_least(plain, 0.95))
+
     apart = [(row.cause, row.apart) for row in by_row if row.apart[1]]
     average = mean(hits / tries for _, (hits, tries) in apart) if apart else 0.0
     yield Owed(
@@ -122,6 +128,10 @@ def owed(pairs: Sequence[Pair], by_row: Sequence[Row]) -> Iterable[Owed]:
     )
     low = [f"{cause} {text(value)}" for cause, value in apart if not is_least(value, 0.9)]
     yield Owed("the same, worst row", listed(low), ">= 90 %", none_of(low, apart))
+    sure = share(named, told_apart(strong(pairs)))
+    yield Owed(
+        f"named first {times}, D_rival >= {TOLD_APART}", f"{text(sure)} {band(sure)}", ">= 97 %", is_least(sure, 0.97)
+    )
     heard = [pair for mine in loud(pairs).values() for pair in mine if found(pair)]
     given = mean(map(probability_of_truth, heard)) if heard else 0.0
     yield Owed("probability given to the truth, mean", f"{given:.3f}", ">= 0.90", given >= 0.9 if heard else None)
@@ -231,18 +241,20 @@ def powers(pairs: Sequence[Pair], by_row: Sequence[Row]) -> list[str]:
     alone = [pair for pair in pairs if pair.envelope.group in ALONE]
     factors = []
     for factor in FACTORS:
-        mine = [pair for pair in alone if pair.envelope.factor == factor]
+        mine = [pair for pair in alone if rung(pair) == factor]
         root_d = mean(sqrt(pair.envelope.d_nats[0]) for pair in mine) if mine else 0.0
         factors.append((f"{factor:g}", f"{root_d:.1f}", text(share(found, mine)), band(share(found, mine))))
     lengths = []
     for n in sorted({pair.envelope.run.plant.n for pair in alone}):
-        mine = [p for p in alone if p.envelope.run.plant.n == n and p.envelope.factor == LADDER]
+        mine = [p for p in alone if p.envelope.run.plant.n == n and rung(p) == LADDER]
         lengths.append((str(n), text(share(found, mine)), band(share(found, mine))))
     return [
         "## Power",
         "",
         "Found at multiples of the amplitude at which a clairvoyant, who knows plant and family, finds 95 % at the",
-        f"level {LEVEL:.1e}; `counted` effects have no such amplitude. Over all that are not counted:",
+        f"level {LEVEL:.1e}; `counted` effects have no such amplitude. Over all that are not counted. Where none of",
+        "many plants carries three or ten times that amplitude, what is hidden is the most that one does, and is told",
+        "with the last multiple below it.",
         "",
         *table(("times that amplitude", "root of D, mean", "found", "share"), factors),
         "",

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import beta, binom
 
 from tests.blind.certificate import KINDS
-from tests.blind.envelope import Envelope
+from tests.blind.envelope import FACTORS, STRONG, Envelope
 from tests.blind.gaussian import numbers
 from tests.blind.harness import Answer
 from tests.blind.plant import Effect, Plant, Run, make_world, supply
@@ -48,8 +48,10 @@ __all__ = [
     "pooled",
     "probability_of_truth",
     "rows",
+    "rung",
     "share",
     "share_band",
+    "strong",
     "told_apart",
 ]
 
@@ -100,9 +102,9 @@ class Row:
     covered: bool
     kind: str
     by_factor: dict[float, Share]
-    """Found, by amplitude over the clairvoyant's; 0 where the effect is counted."""
+    """Found, by the rung of its amplitude over the clairvoyant's; 0 where the effect is counted."""
     named: Share
-    """Of what was found at LADDER times that amplitude or more."""
+    """Of what was found."""
     in_set: Share
     probability: float
     """Mean probability given to the truth, where something was found."""
@@ -124,8 +126,8 @@ def rows(pairs: Sequence[Pair], covered: Sequence[str]) -> list[Row]:
                 cause in covered,
                 KINDS[cause],
                 {
-                    factor: share(found, [pair for pair in mine if pair.envelope.factor == factor])
-                    for factor in sorted({pair.envelope.factor for pair in mine})
+                    factor: share(found, [pair for pair in mine if rung(pair) == factor])
+                    for factor in sorted({rung(pair) for pair in mine})
                 },
                 share(named, heard),
                 share(in_set, heard),
@@ -141,6 +143,17 @@ def loud(pairs: Sequence[Pair]) -> dict[str, list[Pair]]:
     """Return, by mechanism, the runs at which power is owed: those at LADDER, and all where the effect is counted."""
     owed = [pair for pair in pairs if pair.envelope.group == "ladder"]
     return {cause: [pair for pair in owed if pair.causes[0] == cause] for cause in sorted({p.causes[0] for p in owed})}
+
+
+def rung(pair: Pair) -> float:
+    """Return the highest of FACTORS that an effect's reaches, within a hundredth, or the least; 0 where it has none."""
+    own = pair.envelope.factor
+    return max((factor for factor in FACTORS if factor <= 1.01 * own), default=FACTORS[0]) if own else 0.0
+
+
+def strong(pairs: Sequence[Pair]) -> list[Pair]:
+    """Return the runs with one effect of STRONG times the clairvoyant's amplitude or more."""
+    return [pair for pair in pairs if pair.envelope.group == "single" and pair.envelope.factor >= STRONG]
 
 
 def probability_of_truth(pair: Pair) -> float:

@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from tests.blind import envelope as drawing
 from tests.blind.certificate import d_nats
-from tests.blind.envelope import Envelope, Mix, draw
+from tests.blind.envelope import RANGES, STRONG, Envelope, Mix, draw
 from tests.blind.gaussian import numbers
 from tests.blind.harness import ANSWERS, Answer, open_folder, shut
 from tests.blind.injector import make_record
 from tests.blind.made import USUAL
 from tests.blind.oracle import filtered, oracle_gain, with_effect
 from tests.blind.plant import Effect, Run
+from tests.blind.report import write_report
+from tests.blind.score import Pair, rung
 
 PLANT = replace(USUAL, n=1500, interval_s=0.0684, aperture_s=0.01)
 
@@ -69,3 +72,44 @@ def test_the_oracle_gains_what_the_certificate_says_within_its_scatter():
     d = d_nats(run, effect)
 
     assert oracle_gain(run, effect, make_record(run)) == pytest.approx(d, abs=3 * sqrt(2 * d) + 6)
+
+
+def one(factor, group="single", cause="step", said=()):
+    run = Run(PLANT, 1, (Effect(cause, 1e-3, {"time_s": 50.0}),))
+    findings = tuple(
+        {"cause": name, "names": [name], "probability": 1.0, "p_value": 1e-9, "parameters": {}} for name in said
+    )
+    answer = Answer(0, "explained", findings, 1.0, (), (50.0, "warmup_drift"))
+    return Pair(Envelope(0, group, run, ".csv", (50.0,), factor), answer)
+
+
+def test_an_effect_that_reaches_no_whole_multiple_is_told_with_the_last_below_it():
+    assert [rung(one(factor)) for factor in (0.0, 0.4, 1.6, 2.9, 4.2, 9.8, 10.0)] == [
+        0.0,
+        0.6,
+        1.6,
+        1.6,
+        3.0,
+        3.0,
+        10.0,
+    ]
+
+
+def test_what_is_strong_is_owed_apart_from_what_is_at_the_limit():
+    pairs = [one(3.0, said=["step"]), one(10.0, said=["warmup_drift"]), one(4.2), one(1.6), one(1.25, "ladder")]
+
+    lines = write_report(pairs, sealed=5, salt="", key_hash="", covered=["step"]).splitlines()
+
+    assert [line for line in lines if line.startswith("| found at 3 times and more | 2/3 66.7%")]
+    assert [line for line in lines if line.startswith("| named first at 3 times and more, D_rival >= 10.8 | 1/2 50.0%")]
+    assert [line for line in lines if line.startswith("| step | mean |  |  |  | 0/1 | 0/1 | 1/2 | 1/1 |")]
+
+
+def test_a_strong_effect_that_no_plant_carries_is_the_largest_that_one_does(monkeypatch):
+    monkeypatch.setattr(drawing, "PLANTS", 3)
+    number = 5 * len(drawing.UNCOUNTED) + drawing.UNCOUNTED.index("shock_law")
+
+    made = draw("salt", ("single", number))
+
+    assert made.run.effects[0].size == RANGES["shock_law"][1]
+    assert 0 < made.factor < STRONG
