@@ -7,12 +7,16 @@ those before it): of noise that is its reading's own, the score's variance is th
 fourth power of the inverse covariance, in which the pairs of one and the same are nearly all.
 
 The plant nearest to it is a clean one whose shocks imitate tails: perfectly, if they fade within a reading. A plant
-with shocks of its own has one law for both, so that either these or the tails are fitted worse; it is tried
-with its own decay and with none.
+with shocks of its own has one law for both, so that either these or the tails are fitted worse. Which is worse decides
+its fit, so both are weighed together, and shocks are tried that fade as the plant's own do, at once, or in between: a
+slow shock is met by some fast ones in succession, which are cheap once they are frequent. (Only the plant's own decay
+and none were tried, with noise as wide as if its tails were all in it, and own shocks that no reading had seen fade.
+On 40 records, of 1,500 to 9,000 readings, what likelihoods fitted to them came to fell short of that law by more than
+two deviations in seven; of this law in one.)
 """
 
 from dataclasses import dataclass
-from math import exp, log, pi, sqrt
+from math import ceil, exp, log, log1p, pi, sqrt
 
 import numpy as np
 from scipy.optimize import minimize
@@ -24,7 +28,7 @@ from scipy.stats import t as student
 from tests.blind.gaussian import numbers, spectrum, turns
 from tests.blind.plant import Effect, Plant, Run, make_world
 
-__all__ = ["Law", "tails_laws", "tails_nats"]
+__all__ = ["Law", "energy_taken", "seen_marks", "tails_laws", "tails_nats"]
 
 GRID = np.sinh(np.linspace(-6, 6, 801)) / np.sinh(6) * 60
 """Of a reading's excess, in deviations; so many readings have none beyond."""
@@ -35,6 +39,12 @@ NATS = 0.01
 """Of the lattice on which ratios are summed."""
 CELLS = 1 << 17
 PLENTY = 60.0
+FADES = (0.0, exp(-2.0), exp(-1.0), exp(-0.5))
+"""Of a shock from reading to reading; those of half an interval, one and two, and of none."""
+SUCCESSIVE = 4
+"""Shocks that meet one."""
+MOST_OFTEN = -0.4
+"""Logit of the readings' part that are struck; no clean plant has more than one in each second reading."""
 
 
 @dataclass(frozen=True)
@@ -79,31 +89,45 @@ def tails_nats(run: Run, effect: Effect, level: float) -> float:
 
 
 def tails_laws(run: Run, effect: Effect) -> list[Law]:
-    """Return the law against the best plant without shocks of its own, or of those whose shocks fade at once or not."""
-    plant, marks = run.plant, np.array([mark for _, mark in make_world(run).shocks])
+    """Return the law against the best plant without shocks of its own, or of those whose shocks fade thus or thus."""
+    plant, marks = run.plant, seen_marks(run)
     own = exp(-plant.interval_s / plant.shock_decay_s)
-    return [against(plant, effect, marks, fade, own) for fade in ((0.0, own) if marks.size else (0.0,))]
+    fades = (*(fade for fade in FADES if fade < own), own) if marks.size else FADES[:1]
+    return [against(plant, effect, marks, fade, own) for fade in fades]
+
+
+def seen_marks(run: Run) -> np.ndarray:
+    """Return the plant's own shocks, V, as the first reading after each sees them: those have faded since."""
+    plant = run.plant
+    firsts = [
+        (ceil((time_s - plant.inside * plant.step_s) / plant.interval_s), time_s, mark_V)
+        for time_s, mark_V in make_world(run).shocks
+    ]
+    late_s = [(max(at, 0) * plant.interval_s - time_s, mark_V) for at, time_s, mark_V in firsts if at < plant.n]
+    return np.array([mark_V * exp(-max(late, 0.0) / plant.shock_decay_s) for late, mark_V in late_s])
 
 
 def against(plant: Plant, effect: Effect, marks: np.ndarray, fade: float, own: float) -> Law:
     """Return the law against the best clean plant whose shocks keep `fade` of themselves from reading to reading.
 
     In deviations of a reading that all others tell of: an excess of it, what of this a shock's shape takes along with
-    what that shows besides, and both again where the plant's own shocks strike.
+    what that shows besides, and both again where the plant's own shocks strike. The clean plant's noise is fitted, too:
+    what its shocks take is not in it.
     """
     s, w = spectrum(numbers(plant), plant), turns(plant)
     heard = float(np.mean(1 / s))
     shape, true = (1 / (1 - keep * np.exp(-1j * w)) for keep in (fade, own))
     energy, true_energy = (float(np.mean(np.abs(of) ** 2 / s)) for of in (shape, true))
     along = float(np.mean(shape.real / s)) / sqrt(heard * energy)
-    alike = float(np.mean((shape * true.conj()).real / s)) ** 2 / (true_energy * energy)
+    next_to = float(np.mean(np.abs(shape) ** 2 * np.cos(w) / s)) / energy
+    taken = energy_taken(shape, true, s, w)
     across = sqrt(max(1 - along**2, 0.0))
     density = excess(effect.size * plant.white_sd_V**2 * heard)
     calm = density * np.gradient(GRID)
     u, share = np.repeat(GRID, ACROSS.size), np.outer(calm / calm.sum(), ACROSS_SHARE).ravel()
     v = along * u + across * np.tile(ACROSS, GRID.size)
     struck = marks.size / plant.n
-    real = float(np.mean(marks**2)) * true_energy * alike if marks.size else 1.0  # variance of a mark
+    real = float(np.mean(marks**2)) * taken[0] if marks.size else 1.0  # variance of a mark
     if marks.size:
         hit, beside = (column.ravel() for column in np.meshgrid(sqrt(1 + real) * ACROSS, ACROSS))
         u, v = np.append(u, along * hit + across * beside), np.append(v, hit)
@@ -114,27 +138,47 @@ def against(plant: Plant, effect: Effect, marks: np.ndarray, fade: float, own: f
 
     def each(free: np.ndarray) -> np.ndarray:
         """Return nats, all laws over that of Gaussian noise alone."""
-        rate, narrow = 1 / (1 + exp(-free[0])), 1.0 if fade else exp(2 * free[1])  # what is not taken is in the noise
-        both = narrow + exp(2 * free[2])
+        rate, narrow = 1 / (1 + exp(-free[0])), exp(2 * free[1])
+        still = along**2 * narrow + across**2
+        both = still + exp(2 * free[2])
         plain = log(1 - rate) - log(narrow) / 2 - u**2 / 2 * (1 / narrow - 1)
-        one = plain + free[0] - log(both / narrow) / 2 + v**2 / 2 * (1 / narrow - 1 / both)
+        one = plain + free[0] - log(both / still) / 2 + v**2 / 2 * (1 / still - 1 / both)
         clean = np.logaddexp(plain, one)
-        if fade:  # a second shock takes back in the next reading what is left of the first
-            clean = np.logaddexp(clean, plain + 2 * free[0] - log(both) + u**2 / 2 * (1 - 1 / both))
+        if fade:  # a second shock takes back in the next reading what is left of the first: two marks of two shapes
+            size = both / still - 1
+            cost = log((1 + size) ** 2 - (next_to * size) ** 2) / 2
+            clean = np.logaddexp(clean, plain + 2 * free[0] - cost + u**2 / 2 * (1 / narrow - 1 / both))
+            clean = clean - log1p(rate**2 / (1 - rate) * sqrt(both / narrow) * exp(-cost))  # a law, then
         return told - clean
 
+    def lost(free: np.ndarray) -> float:
+        """Return the nats of the plant's own shocks, each met by as many of the clean plant's as is best."""
+        more = np.arange(taken.size) * (log(1 + exp(2 * free[2])) / 2 - free[0])
+        return float(np.sum(np.min(marks[:, None] ** 2 / 2 * (true_energy - taken) + more, axis=1)))
+
     def loss(free: np.ndarray) -> float:
-        if not (-14 < free[0] < 2 and -2 < free[1] < 1 and -3 < free[2] < 12):
+        if not (-14 < free[0] < MOST_OFTEN and -2 < free[1] < 1 and -3 < free[2] < 12):
             return 1e9
-        return plant.n * float(share @ each(free))
+        return plant.n * float(share @ each(free)) + lost(free)
 
     starts = [[-4.0, -0.2, 1.0], [-2.0, -0.3, 0.5]]
     if marks.size:
         starts = [[log(struck), -0.02, log(real) / 2], starts[0]]
-    best = min((minimize(loss, start, method="Nelder-Mead") for start in starts), key=lambda found: found.fun)
-    lost = (1 - alike) / 2 * true_energy * marks**2
-    another = log(plant.n / max(marks.size, 1)) + 2  # at most what it costs that a second one mends the shape
-    return Law(each(best.x), share, plant.n, float(np.sum(np.minimum(lost, another))))
+    found = (minimize(loss, start, method="Nelder-Mead", tol=0.01) for start in starts)
+    best = min(found, key=lambda one: one.fun)
+    return Law(each(best.x), share, plant.n, lost(best.x))
+
+
+def energy_taken(shape: np.ndarray, true: np.ndarray, s: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """Return what of the true shape's whitened energy shocks of another shape at 1, 2, ... successive readings meet.
+
+    Shapes are given by their spectra, of a mark of 1 V, on the turns `w` of the spectrum `s`.
+    """
+    lags = np.arange(SUCCESSIVE)
+    along = np.array([float(np.mean((true * (shape * np.exp(-1j * w * lag)).conj()).real / s)) for lag in lags])
+    own = np.array([float(np.mean(np.abs(shape) ** 2 * np.cos(w * lag) / s)) for lag in lags])
+    gram = own[np.abs(np.subtract.outer(lags, lags))]
+    return np.array([along[:k] @ np.linalg.solve(gram[:k, :k], along[:k]) for k in lags + 1])
 
 
 def excess(share: float) -> np.ndarray:

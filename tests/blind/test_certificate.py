@@ -15,7 +15,7 @@ from tests.blind.instants import cost_of_instants, ringing, wave
 from tests.blind.jumps import two_levels
 from tests.blind.made import USUAL
 from tests.blind.plant import Effect, Run, add_shock, make_world
-from tests.blind.tails import GRID, Law, tails_laws, tails_nats
+from tests.blind.tails import GRID, Law, energy_taken, seen_marks, tails_laws, tails_nats
 
 PLANT = replace(USUAL, n=300)
 
@@ -116,9 +116,30 @@ def test_the_laws_of_tails_and_of_what_imitates_them_are_both_laws():
     calm, shaken, effect = Run(replace(WHITE, n=9000), 4), Run(shaken, 4), Effect("heavy_tails", 0.5)
 
     for law in (*tails_laws(calm, effect), *tails_laws(shaken, effect)):
-        assert law.share @ np.exp(-law.each) == pytest.approx(1, abs=2e-3)
+        assert law.share @ np.exp(-law.each) == pytest.approx(1, abs=1e-2)  # by nine nodes
     # one law of shocks cannot be both
     assert tails_nats(shaken, effect, 1e-4) > 2 * tails_nats(calm, effect, 1e-4)
+
+
+def test_a_slow_shock_is_met_by_fast_ones_in_succession():
+    """In white noise, of a mark that fades by f each reading, k readings hold the sum of the first k powers of f^2."""
+    w = 2 * np.pi * np.arange(1, 5000) / 10_000
+    slow = 1 / (1 - 0.8 * np.exp(-1j * w))
+    steps = 0.64 ** np.arange(4)
+
+    assert energy_taken(np.ones_like(slow), slow, np.ones(w.size), w) == pytest.approx(np.cumsum(steps), rel=2e-3)
+    assert energy_taken(slow, slow, np.ones(w.size), w) == pytest.approx(np.full(4, 1 / 0.36), rel=2e-3)
+
+
+def test_a_shock_has_faded_by_the_time_a_reading_sees_it():
+    plant = replace(PLANT, n=9000, shocks_per_s=0.5, shock_sd_V=1.0, shock_decay_s=0.5 * PLANT.interval_s)
+    run = Run(plant, 4)
+
+    drawn = np.array([mark_V for _, mark_V in make_world(run).shocks])
+    left = np.abs(seen_marks(run)).sum() / np.abs(drawn).sum()
+    inside = plant.inside * plant.step_s / plant.interval_s  # the aperture's part, in which it has not
+
+    assert left == pytest.approx(inside + 0.5 * -np.expm1(-2 * (1 - inside)), rel=0.1)
 
 
 def test_all_paths_of_two_levels_together_are_as_likely_as_their_sum():
