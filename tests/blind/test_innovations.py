@@ -15,7 +15,7 @@ PLANT = replace(USUAL, n=9000, drift_rate_V_per_rt_s=1e-9)
 
 def test_noise_that_grows_with_a_fast_input_is_told_by_the_skewness_of_single_readings():
     """By the first term of Gram and Charlier's series, of third moment k and variance S, it is k^2/(12 S^3)."""
-    plant = replace(PLANT, signal_tau_s=0.02)
+    plant = replace(PLANT, signal_tau_s=0.02, white_sd_V=1e-3)
     plant = replace(plant, level_V=20 * plant.signal_sd_V)
     part = 0.03**2
     x = calm(Run(replace(plant, white_sd_V=0.0), 6))
