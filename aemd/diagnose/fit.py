@@ -42,7 +42,8 @@ _LEAST_WHITE = 1e-8  # variance; what apertures average out may leave less than 
 _DECAYS = tuple(0.3 * 1.6**k for k in range(2, 10))
 """Intervals that shocks of the starts take to decay."""
 _AT_BOUND = 0.01  # of the logarithm of the shocks' decay
-_SHOCK_SD = 7  # of the base's free numbers
+_SHOCK_SD, _SHOCK_DECAY = 7, 8  # of the base's free numbers
+_TAKEN_FOR_SHOCKS = 20
 _STARTERS = 6
 _FINALISTS = 2
 """Starts that go on to a longer part of the record."""
@@ -155,9 +156,15 @@ def fit_base(data: Data) -> Fit:
     # A handful of events may be one step, which slow shocks imitate: then the base is the one without, and a check of
     # the residuals has the step to find.
     few = np.exp(shocked.theta[6]) * data.span_s < _FEW_SHOCKS
-    slow = shocked.theta[8] > shocked.base.box[8][1] - _AT_BOUND
+    slow = shocked.theta[_SHOCK_DECAY] > shocked.base.box[_SHOCK_DECAY][1] - _AT_BOUND
     if (few or slow) and _with_step(fit) > shocked.log_likelihood:
         return fit
+    if slow:  # one step among many shocks draws the decay of all of them out
+        quick = shocked.theta.copy()
+        quick[_SHOCK_DECAY] = log(data.interval_s)
+        quicker = refit(shocked.terms, data, quick)
+        if _with_step_beside(quicker) > shocked.log_likelihood:
+            return quicker
     return shocked
 
 
@@ -174,6 +181,19 @@ def _with_step(fit: Fit) -> float:
     start = spectral_starts(replace(data, y=data.y - size * shape))[0]
     step = Step(float(data.t_s[at]), size, log(fit.z.size))
     return refit([*fit.terms, step], data, np.append(start, size)).log_likelihood - step.cost_nats
+
+
+def _with_step_beside(fit: Fit) -> float:
+    """Return the same of a fit with shocks, one of which may be the step: one of the readings that are off by most."""
+    data, tries = fit.data, list[tuple[float, int, float]]()
+    off = np.where(data.used, np.abs(fit.innovation) / np.sqrt(fit.variance), 0.0)
+    for at in np.argsort(-off)[:_TAKEN_FOR_SHOCKS].tolist():
+        left = fit.whitened((np.arange(off.size) >= at).astype(np.float64))
+        size, along = max(float(left @ left), 1e-300), float(left @ fit.z)
+        tries.append((along**2 / size, at, along / size))
+    _, at, size = max(tries)
+    step = Step(float(data.t_s[at]), size, log(off.size))
+    return refit([*fit.terms, step], data, np.append(fit.theta, size)).log_likelihood - step.cost_nats
 
 
 def _with_shocks(fit: Fit) -> Fit | None:

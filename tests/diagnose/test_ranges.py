@@ -4,9 +4,9 @@ from math import log
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import beta, norm
 
-from aemd.diagnose.checks.ranges import check_overlap
+from aemd.diagnose.checks.ranges import _score_of_share, check_hole, check_overlap
 from aemd.diagnose.climb import densities
 from aemd.diagnose.fit import fit_base, refit
 from aemd.diagnose.hypothesis import Base, make_data
@@ -60,3 +60,28 @@ def test_readings_of_one_range_share_nothing(seed):
     y, _ = switched(seed, 0.05, 0.0)
 
     assert check_overlap(fit_base(make_data(series(y)))).p_value > 0.1
+
+
+@pytest.mark.parametrize("deviations", [-3.0, 0.5, 4.0, 5.0])
+def test_the_squares_of_a_few_readings_are_judged_by_their_own_law(deviations):
+    """Whose tail is far from normal: 5 deviations come as often as 6.9 would by their mean and variance."""
+    n, m = 600, 30
+    share = beta.isf(norm.sf(deviations), m / 2, (n - m) / 2)
+    squares, wide = np.full(n, (1 - share) / (n - m)), np.zeros(n)
+    squares[:m], wide[:m] = share / m, 1.0
+
+    assert _score_of_share(squares, wide, 1.0) ** 2 == pytest.approx(deviations**2, rel=1e-6)
+    assert deviations < 5 or (share * n - m) / np.sqrt(2 * m * (1 - m / n)) == pytest.approx(6.9, abs=0.1)
+
+
+def test_a_hole_shows_where_many_readings_should_be_though_nearly_as_wide_ones_are_where_few_are():
+    """A slow wave dwells at its top; on its slope the readings are spread over many more volts."""
+    y = clean(3)
+    y = y + 0.03 * np.sin(2 * np.pi * np.arange(y.size) / y.size)
+    moved = y + 2.4e-4 * (y >= np.quantile(y, 0.85))
+    second, widest = np.sort(np.diff(np.sort(moved)[y.size // 20 : -y.size // 20]))[-2:]
+    found = check_hole(fit_base(make_data(series(moved))))
+
+    assert second > widest / 2
+    assert found.p_value < 1e-6
+    assert check_hole(fit_base(make_data(series(y)))).p_value > 0.01

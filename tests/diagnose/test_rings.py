@@ -1,15 +1,17 @@
 """What is laid after the shocks: marks by their odds, and the power of a damped wave by plain regression."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
-from aemd.diagnose.checks.rings import _ring_power, check_ring_down, likely_marks
+from aemd.diagnose.checks.rings import _log_ratios, _loud, _ring_power, check_ring_down, likely_marks
 from aemd.diagnose.fit import fit_base
 from aemd.diagnose.hypothesis import make_data
 from aemd.diagnose.terms.events import rung
-from tests.diagnose.plant import INTERVAL_S, clean, series
+from tests.diagnose.plant import INTERVAL_S, clean, series, times
 
 
 def struck(seed, ratio):
@@ -55,6 +57,44 @@ def test_shocks_too_small_to_be_sure_of_tell_of_a_ring_together():
 
     assert evidence.p_value < 1e-5
     assert any(abs(term.frequency_hz - 2.3) < 0.15 for term in evidence.terms)
+
+
+def struck_between(seed, ratio):
+    """Return a fit of readings with 12 shocks at any time between two, that ring by two fifths of a turn a reading."""
+    rng = np.random.default_rng([seed, 6])
+    y, t_s = clean(seed), times()
+    for at_s in np.sort(rng.uniform(5.0, t_s[-1] - 5.0, 12)):
+        since = np.maximum(t_s - at_s, 0.0)
+        size = 12e-3 * rng.choice([-1.0, 1.0]) * (t_s >= at_s)
+        y += size * np.exp(-since / 0.1)
+        y += size * ratio * np.exp(-since / 1.2) * np.sin(2 * np.pi * 0.41 / INTERVAL_S * since)
+    return fit_base(make_data(series(y)))
+
+
+def test_a_ring_too_fast_for_one_angle_is_heard_with_the_instants_integrated_out():
+    (evidence,) = check_ring_down(struck_between(4, 0.07))
+
+    assert evidence.p_value < 1e-6
+    assert chi2.sf(evidence.observed, 2) > 1e-7  # of one angle, before any of some hundred trials is counted
+    assert any(abs(term.frequency_hz * INTERVAL_S - 0.41) < 0.01 for term in evidence.terms)
+
+
+def test_a_ratio_of_likelihoods_of_rings_has_a_mean_of_one_where_nothing_rings():
+    """Over residuals that are drawn anew; so it is above 20 in one of 20 at most (Ville)."""
+    fit, rng = struck_between(5, 0.0), np.random.default_rng(8)
+    loud = _loud(fit)
+    frequencies = np.array([1.0, 2.9, 6.1])
+    ratios = np.exp(
+        [
+            _log_ratios(replace(fit, z=rng.standard_normal(fit.z.size)), loud, frequencies, decay_s)
+            for _ in range(60)
+            for decay_s in (0.4, 1.5)
+        ]
+    )
+
+    assert loud.at.size >= 8
+    assert ratios.mean() < 1.5
+    assert np.mean(ratios > 20) < 0.02
 
 
 @pytest.mark.parametrize("seed", [2, 3])

@@ -1,10 +1,10 @@
 """Whether the reading's level brings an offset or a noise of its own, as a range does."""
 
-from math import exp, log, sqrt
+from math import exp, log, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import betainc, ndtr, ndtri
 from scipy.stats import chi2
 
 from aemd.diagnose.evidence import Evidence, bonferroni
@@ -20,6 +20,8 @@ Floats = NDArray[np.float64]
 
 _PARTS = np.linspace(0.05, 0.95, 19)
 """Of the readings, below the threshold that is tried."""
+_ENOUGH, _PLACES = 2_000, 200
+"""Readings, and values, from which it is told how many are expected about each value."""
 _EDGES = np.linspace(0.015, 0.985, 64)
 """Of the readings, below the edges of the stretch that two ranges are to share."""
 _FINE = 12
@@ -37,12 +39,12 @@ def check_range_switching(fit: Fit) -> Evidence:
     """Regress the residuals, and their squares, on being in the wider range, for thresholds all over the readings.
 
     The reading before says which range, so both are sums whose terms the past decides; together chi-square of two
-    degrees.
+    degrees. Of a few squares the sum is not normal yet, and far out not at all: its score is that of its own law.
     """
     data, used = fit.data, fit.data.used
     magnitude = np.abs(data.y + data.origin_V / data.unit_V)[used]
     squares = np.where(used, fit.z**2, 0.0)
-    spread = max(float(np.var(squares[used])), 1e-12)
+    degrees = 2 / max(float(np.var(squares[used])), 2.0)  # of a square; fewer where they spread more than normal ones
     best, trials = (0.0, 0.0, 0.0, 0.0), 0
     for threshold in np.unique(np.quantile(magnitude, _PARTS)):
         wide = in_wide_range(data, float(threshold), 0.0)
@@ -52,7 +54,7 @@ def check_range_switching(fit: Fit) -> Evidence:
         if size <= 0 or loud <= 0:
             continue
         trials += 1
-        power = float(shape @ fit.z) ** 2 / size + float(louder @ squares) ** 2 / (loud * spread)
+        power = float(shape @ fit.z) ** 2 / size + _score_of_share(squares[used], wide[used], degrees) ** 2
         if power > best[0]:
             best = power, float(threshold), float(shape @ fit.z) / size, float(louder @ squares) / loud
     power, threshold, offset, more = best
@@ -72,6 +74,17 @@ def check_range_switching(fit: Fit) -> Evidence:
     )
 
 
+def _score_of_share(squares: Floats, wide: Floats, degrees: float) -> float:
+    """Return, in deviations, by how much some squares make up more, or less, of all than they are readings.
+
+    The share that m of n chi-square variables have in their sum has the beta law of m/2 and (n - m)/2.
+    """
+    a, b = 0.5 * degrees * float(wide.sum()), 0.5 * degrees * float((1 - wide).sum())
+    share = float(wide @ squares) / max(float(squares.sum()), 1e-300)
+    tail = min(float(betainc(a, b, share)), float(betainc(b, a, 1 - share)))
+    return -float(ndtri(min(max(tail, 1e-300), 0.5)))
+
+
 def check_hole(fit: Fit) -> Evidence:
     """Look for the hole among the readings that they should have fallen into.
 
@@ -82,9 +95,9 @@ def check_hole(fit: Fit) -> Evidence:
     if any(isinstance(term, RangeOffset) for term in fit.terms):  # one is closed, and a second is not looked for
         return _hole(1.0, 0.0, data.n, ())
     inner = np.sort(fit.y[used])[data.n // 20 : -(data.n // 20)]
-    gaps = np.diff(inner)
-    at = int(np.argmax(gaps))
-    if gaps[at] < 2 * np.partition(gaps, -2)[-2]:  # one of many: a lattice
+    missing = np.diff(inner) * _expected_about(fit, 0.5 * (inner[1:] + inner[:-1]))
+    at = int(np.argmax(missing))
+    if missing[at] < 2 * np.partition(missing, -2)[-2]:  # one of many: a lattice
         return _hole(1.0, 0.0, data.n, ())
     low, high = float(inner[at]), float(inner[at + 1])
     sd = np.sqrt(fit.variance[used])
@@ -102,6 +115,19 @@ def check_hole(fit: Fit) -> Evidence:
     if np.count_nonzero(~used) > expected / 4:  # readings that were kept out, such as a dead band's, may lie there
         p_value, terms = 1.0, ()
     return _hole(p_value, expected, data.n, terms)
+
+
+def _expected_about(fit: Fit, values: Floats) -> Floats:
+    """Return how many readings a unit the filter expects about each value, from enough of them for that.
+
+    Where a record has dwelt for long, a small gap is more surprising than a large one where it has hardly been.
+    """
+    some = np.flatnonzero(fit.data.used)
+    some = some[:: max(some.size // _ENOUGH, 1)]
+    sd = np.sqrt(fit.variance[some])
+    grid = np.linspace(values[0], values[-1], _PLACES)
+    each = np.exp(-0.5 * ((grid[:, None] - fit.predicted[some]) / sd) ** 2) / sd
+    return np.asarray(np.interp(values, grid, each.sum(axis=1) * fit.data.n / (some.size * sqrt(2 * pi))))
 
 
 def check_overlap(fit: Fit) -> Evidence:
