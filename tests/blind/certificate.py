@@ -15,9 +15,9 @@ any instant can imitate the effect, as they can a step. Kind of D by cause, in K
                  phase; of a bent scale, more by what its slope does to the density, and of a range's offset by the
                  hole that it leaves between ranges, or what they share
     covariance   Gaussian: as above; where the noise changes, segment by segment
-    path         telegraph noise: the mean's D of the path as drawn, less what the path itself costs who does not know
-                 it, by a filter of all paths (a cost for each jump, as if its instant had to be found exactly, made
-                 small jumps seem unseen that together are plain)
+    path         telegraph noise: by readings that are drawn, the path known to nobody, against the best plant whose
+                 shocks, at instants that nobody knows, may be the jumps (see jumps.py; with shocks at known instants
+                 and no others, who was never struck was thought to see what shocks imitate to 5 of 30 nats)
     innovation   noise that is not Gaussian or not stationary: as if innovations were independent, with their variance;
                  of the shocks' signs, as far as a reading tells that it was struck and by what; of noise that grows
                  with the reading, given the readings as drawn; of heavy tails no mean, which a few large readings
@@ -58,7 +58,7 @@ from tests.blind.gaussian import (
 from tests.blind.injector import AT_INPUT, calm, template
 from tests.blind.innovations import innovation_kl, louder_kl
 from tests.blind.instants import cost_of_instants, ringing
-from tests.blind.jumps import path_cost
+from tests.blind.jumps import jumps_nats, plain_jump
 from tests.blind.plant import Effect, Plant, Run, make_world, supply
 from tests.blind.tails import tails_nats
 
@@ -117,14 +117,16 @@ def d_nats(run: Run, effect: Effect, shown: "Shown | None" = None, beside: Seque
     clean_s, known = spectrum(theta, plant), [WHOLE]
     for other in beside:
         known = [both(one, more) for one in known for more in covariance(plant, other)]
-    if kind in ("mean", "path"):
+    if kind == "path":
+        shown = shown or show(run, effect)
+        return jumps_nats(shown.unit, effect, plant, shown.beside)
+    if kind == "mean":
         shown = shown or show(run, effect)
         parts = [Part(share, change(clean_s), change) for share, change in known]
         d = refit(theta, plant, parts, effect.size * shown.unit, shown.beside)
         if shown.instants is not None:
             d -= cost_of_instants(*shown.instants, effect.size)
-        d += effect.size**2 * shown.slope + effect.size * shown.edge
-        return d - (path_cost(shown.unit, effect, plant, shown.beside) if kind == "path" else 0.0)
+        return d + effect.size**2 * shown.slope + effect.size * shown.edge
     parts = [
         Part(share * part, change(other(clean_s)), other)
         for share, other in known
@@ -202,6 +204,8 @@ def first_guess(d_target: float, run: Run, effect: Effect, shown: "Shown | None"
     """Return the logarithm of a size to begin with: of the mean, what would do if nothing were refitted."""
     if shown is None:
         return (log(low) + log(high)) / 2
+    if KINDS[effect.cause] == "path":  # of smaller jumps D is about 0, which tells no slope
+        return log(plain_jump(run.plant))
     known = energy(numbers(run.plant), run.plant, shown.unit, shown.beside)
     return log(2 * d_target / max(known, 1e-300)) / 2
 

@@ -12,7 +12,7 @@ from tests.blind.envelope import beside_each_other
 from tests.blind.gaussian import disturbances, energy, numbers
 from tests.blind.injector import calm, template
 from tests.blind.instants import cost_of_instants, ringing, wave
-from tests.blind.jumps import two_levels
+from tests.blind.jumps import log_density
 from tests.blind.made import USUAL
 from tests.blind.plant import Effect, Run, add_shock, make_world
 from tests.blind.tails import GRID, Law, energy_taken, seen_marks, tails_laws, tails_nats
@@ -142,28 +142,43 @@ def test_a_shock_has_faded_by_the_time_a_reading_sees_it():
     assert left == pytest.approx(inside + 0.5 * -np.expm1(-2 * (1 - inside)), rel=0.1)
 
 
-def test_all_paths_of_two_levels_together_are_as_likely_as_their_sum():
-    n, size, jump = 7, 1.3, 0.15
+@pytest.mark.parametrize(("jump", "struck"), [(0.15, 0.0), (0.0, 0.2)])
+def test_all_histories_together_are_as_likely_as_their_sum(jump, struck):
+    n, mark_sd, fade = 7, 2.0, 0.7
     theta, rng = numbers(PLANT), np.random.default_rng(8)
-    lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) * PLANT.interval_s
-    covariance = np.exp(theta[0] - lag / np.exp(theta[1])) + np.exp(theta[2] - lag / np.exp(theta[3]))
-    inverse = np.linalg.inv(covariance + np.exp(theta[4]) * np.eye(n))
-    size *= np.sqrt(covariance[0, 0])
-    levels = np.array([0, 0, 0, 1, 1, 0, 0])
-    y = size * levels + np.sqrt(covariance[0, 0]) * rng.standard_normal(n)
+    theta[[0, 2, 4]] -= 2 * np.log(PLANT.signal_sd_V)
+    lag = np.subtract.outer(np.arange(n), np.arange(n))
+    late = np.abs(lag) * PLANT.interval_s
+    covariance = np.exp(theta[0] - late / np.exp(theta[1])) + np.exp(theta[2] - late / np.exp(theta[3]))
+    covariance += np.exp(theta[4]) * np.eye(n)
+    size = 1.3 * np.sqrt(covariance[0, 0]) if jump else 0.0
+    y = 1.5 * np.array([0, 0, 0, 1, 1, 0, 0]) + np.linalg.cholesky(covariance) @ rng.standard_normal(n)
 
-    def nats(path):
-        left = y - size * np.array(path)
-        return -left @ inverse @ left / 2
+    def density(history):
+        marks = mark_sd * np.where(lag >= 0, fade ** np.maximum(lag, 0), 0.0) * history
+        changes = np.count_nonzero(np.diff(history))
+        whole = covariance + (marks @ marks.T if struck else 0.0)
+        left = y - size * history
+        prior = 0.5 * jump**changes * (1 - jump) ** (n - 1 - changes)
+        if struck:
+            prior = struck ** history.sum() * (1 - struck) ** (n - history.sum())
+        return prior * np.exp(-left @ np.linalg.solve(whole, left) / 2) / np.sqrt(np.linalg.det(whole))
 
-    jumps = {path: np.count_nonzero(np.diff(path)) for path in product((0, 1), repeat=n)}
-    total = sum(0.5 * jump**k * (1 - jump) ** (n - 1 - k) * np.exp(nats(path)) for path, k in jumps.items())
-    keeps = np.append(np.exp(-PLANT.interval_s / np.exp(theta[[1, 3]])), 0.0)
-    calm = np.zeros(n)
-    of_path, of_all = two_levels(y, levels, size, jump, keeps, np.exp(theta[[0, 2, 4]]), np.ones(n, bool), calm, calm)
+    total = sum(density(np.array(history)) for history in product((0, 1), repeat=n))
+    keeps = np.append(np.exp(-PLANT.interval_s / np.exp(theta[[1, 3]])), fade)
+    found = log_density(y, np.ones(n, bool), size, jump, struck, mark_sd**2, keeps, np.exp(theta[[0, 2, 4]]), n)
 
-    assert of_path == pytest.approx(nats(levels), rel=1e-9)
-    assert of_all == pytest.approx(np.log(total), abs=0.05)
+    assert found == pytest.approx(np.log(total), abs=0.02)
+
+
+def test_of_lost_readings_nothing_is_looked_at():
+    y, kept = np.random.default_rng(3).standard_normal(6), np.array([True, True, False, False, True, True])
+    y[~kept] = 1e3
+
+    def nats(part):  # nothing lasts from one reading to the next
+        return log_density(y[part], kept[part], 2.0, 0.5, 0.0, 1.0, np.zeros(3), np.array([1.0, 0.5, 0.3]), 6)
+
+    assert nats(slice(6)) == pytest.approx(nats(slice(2)) + nats(slice(4, 6)))
 
 
 def test_an_offset_of_the_wider_range_leaves_a_hole_that_counts():
