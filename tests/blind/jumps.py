@@ -1,11 +1,11 @@
 """A level that jumps between two: its D, by readings that are drawn and the densities of all histories of them.
 
 D = E[log p(readings | plant with the level)] - E[log p(readings | the best plant without it)], and neither half is that
-of a known mean. Who does not know when the level jumped sums over its paths. And the best plant without it is none without
-shocks: of steps of about three deviations, many enough, a plant that is struck often and recovers slowly makes most,
-also where the true one is never struck. A D whose best plant was Gaussian called 30 nats what came to 5 to 20 on plants
-without shocks. On plants with shocks it came to 15 to 65: there the shocks' instants were taken for known, one law of
-shocks can hardly be both, and by the means of a dozen paths alone small jumps cost more than need be.
+of a known mean. Who does not know when the level jumped sums over its paths. And the best plant without it is none
+without shocks: of steps of about three deviations, many enough, a plant that is struck often and recovers slowly makes
+most, also where the true one is never struck. A D whose best plant was Gaussian called 30 nats what came to 5 to 20 on
+plants without shocks. On plants with shocks it came to 15 to 65: there the shocks' instants were taken for known, one
+law of shocks can hardly be both, and by the means of a dozen paths alone small jumps cost more than need be.
 
 So both halves are means over drawn readings, by one filter that knows no instants: for each level and each of the last
 readings it keeps what is known if the last jump or shock was then (mean and covariance; histories that are older are
