@@ -177,8 +177,8 @@ def _approximate(part: object, parts: _Parts, level_V: float, span_s: float) -> 
             variance, period_s = amplitude**2 * width / period * (1 - min(width / period, 1.0)), 0.0
         case model.ThermalDrift(coefficient_V_per_C=coefficient, sd_C=sd, tau_s=tau):
             variance, period_s = (coefficient * sd) ** 2, 2 * pi * tau
-        case model.SupplyCoupling(coefficient_per_V=coefficient, sd_V=sd, tau_s=tau):
-            variance, period_s = (coefficient * sd * level_V) ** 2, 2 * pi * tau
+        case model.SupplyCoupling(coefficient_per_V=gain, coefficient_V_per_V=offset, sd_V=sd, tau_s=tau):
+            variance, period_s = ((gain * level_V + offset) * sd) ** 2, 2 * pi * tau
         case model.PopcornNoise(step_V=step, dwell_low_s=low, dwell_high_s=high):
             share = high / (low + high)
             variance, period_s = step**2 * share * (1 - share), 2 * pi / (1 / low + 1 / high)

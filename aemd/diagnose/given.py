@@ -233,8 +233,10 @@ class Given(Fixed):
                 parts.mean += np.array(offsets)[(data.slot + first) % len(offsets)] / unit
             case model.SupplyCoupling(witness=witness, coefficient_per_V=coefficient, mean_V=mean):
                 if witness in data.witnesses:
-                    gain = 1 + coefficient * (data.witnesses[witness] - mean)
+                    apart = data.witnesses[witness] - mean
+                    gain = 1 + coefficient * apart
                     zero = data.origin_V / unit
                     parts.mean = (parts.mean + zero) * gain - zero
                     parts.scale = parts.scale * gain
                     parts.noise_var, parts.averaged = parts.noise_var * gain**2, parts.averaged * gain**2
+                    parts.mean += effect.coefficient_V_per_V / unit * lagged(apart, data.step_s, effect.lag_s)

@@ -27,8 +27,9 @@ from aemd.diagnose.hypothesis import Data, Term
 from aemd.diagnose.terms.events import Popcorn
 from aemd.diagnose.terms.lines import Sines, WanderingLine, amplitude_cost, fold
 from aemd.diagnose.terms.noise import ChangingNoise, HeavyTails, Resonance, SignalDependentNoise
+from aemd.diagnose.terms.witnessed import called
 
-__all__ = ["NOT_WHITE", "Named", "acts_throughout", "is_coloured", "name"]
+__all__ = ["NOT_WHITE", "Named", "acts_throughout", "is_coloured", "left_out", "name"]
 
 Floats = NDArray[np.float64]
 
@@ -108,7 +109,7 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
     if _jumps_seldom(ended[0]):
         ended = _race_steps(ended)
     for one in ended:
-        one.cost_nats -= _left_out(one.terms, one.theta, fit.data)
+        one.cost_nats -= left_out(one.terms, one.theta, fit.data)
     ended = sorted(ended, key=lambda one: -one.worth)
     fitted: dict[str, Climb] = {}
     for one in ended:
@@ -118,10 +119,13 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
     if best.value - fit.log_likelihood < least_nats:
         return None
     weights = [exp(max(one.worth - best.worth, -700.0)) for one in ranked]
-    names, mass = list[str](), 0.0
+    shares = dict[str, float]()  # a gain and an offset of one voltage are two kinds to fit, and one name
     for weight, rival in zip(weights, ranked, strict=True):
-        names.append(rival.terms[-1].cause)
-        mass += weight / sum(weights)
+        shares[called(rival.terms[-1])] = shares.get(called(rival.terms[-1]), 0.0) + weight / sum(weights)
+    names, mass = list[str](), 0.0
+    for name_of, share in shares.items():
+        names.append(name_of)
+        mass += share
         if mass >= _CREDIBLE:
             break
     winner = residuals(best.terms, best.theta, fit.data)
@@ -132,10 +136,10 @@ def name(fit: Fit, candidates: Sequence[Term], least_nats: float) -> Named | Non
         names = [next((cause for cause in causes if cause != "unexplained"), "nothing of the catalogue")]
     else:
         refused = _does_not_fit(fit, winner)
-    return Named(winner, best.terms[-1], tuple(names), weights[0] / sum(weights), refused)
+    return Named(winner, best.terms[-1], tuple(names), shares[called(best.terms[-1])], refused)
 
 
-def _left_out(terms: Sequence[Term], theta: Floats, data: Data) -> float:
+def left_out(terms: Sequence[Term], theta: Floats, data: Data) -> float:
     """Return the log-likelihood of the skewness that a noise which grows with the reading has, nats; 0 of all others.
 
     The filter takes that noise by its variance R at the prediction. But a reading that the input's news u, of variance

@@ -29,6 +29,7 @@ _WORDS = {
     ("shock_law", "fraction"): "part that is positive",
     ("signal_dependent_noise", "fraction"): "sd over the reading",
     ("smoothing", "fraction"): "part of the last reading in the next",
+    ("supply_coupling", "coefficient_per_V"): "gain",
     ("quantisation", "ratio"): "step over what is new in a reading",
     ("changing_noise", "ratio"): "noise then over noise elsewhere",
     ("ring_down", "ratio"): "first swing over the shock",

@@ -34,7 +34,7 @@ from aemd.diagnose.terms.noise import (
 from aemd.diagnose.terms.ranges import RangeOffset, RangeOverlap, RangeSwitching
 from aemd.diagnose.terms.shapes import Nonlinearity, ReadingPattern, Step, WarmUp
 from aemd.diagnose.terms.stated import OtherFigures
-from aemd.diagnose.terms.witnessed import Latency, SupplyCoupling, ThermalDrift
+from aemd.diagnose.terms.witnessed import Latency, SupplyCoupling, ThermalDrift, called
 
 __all__ = ["Told", "as_tables", "to_model"]
 
@@ -96,7 +96,7 @@ def to_model(fit: Fit, aperture_s: float, told: Told = _NOTHING_TOLD) -> tuple[m
         made, changed = make(term, theta, fit, aperture_s)
         have = {type(part) for part in (*terms, *effects)}
         if any(isinstance(part, _WITNESSED) and type(part) in have for part in (*made, *changed)):
-            without.append(term.cause)
+            without.append(called(term))
             continue
         terms += made
         effects += changed
@@ -249,10 +249,15 @@ def _pattern(_term: ReadingPattern, v: Floats, fit: Fit, _: float) -> Made:
 
 def _thermal(term: ThermalDrift, v: Floats, fit: Fit, _: float) -> Made:
     sd, tau_s, mean = _witness_law(fit, term.witness)
+    coefficient, lag_s = float(v[0] * fit.data.unit_V), exp(v[1]) if term.lag_s else 0.0
+    if called(term) == "supply_coupling":
+        return [], [
+            model.SupplyCoupling(coefficient_V_per_V=coefficient, lag_s=lag_s, sd_V=sd, tau_s=tau_s, mean_V=mean)
+        ]
     return [
         model.ThermalDrift(
-            coefficient_V_per_C=float(v[0] * fit.data.unit_V),
-            lag_s=exp(v[1]) if term.lag_s else 0.0,
+            coefficient_V_per_C=coefficient,
+            lag_s=lag_s,
             sd_C=sd,
             tau_s=tau_s,
             mean_C=mean,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from aemd import model
 from aemd.diagnose.hypothesis import Data, Seen
 from aemd.diagnose.terms.ranges import ranges_of
+from aemd.diagnose.terms.witnessed import lagged
 
 __all__ = ["ABOUT_VALUES", "UNDONE", "undo", "wider_noise"]
 
@@ -106,8 +107,11 @@ def _without(effect: object, seen: Seen, data: Data) -> Seen:
         case model.SupplyCoupling(witness=witness, coefficient_per_V=coefficient, mean_V=mean):
             if witness not in data.witnesses:
                 return seen
-            gain = np.maximum(1 + coefficient * (data.witnesses[witness] - mean), _LEAST_SLOPE)
-            return Seen(y / gain, low / gain, high / gain, seen.log_slope - np.log(gain))
+            apart = data.witnesses[witness] - mean
+            gain = np.maximum(1 + coefficient * apart, _LEAST_SLOPE)
+            through = effect.coefficient_V_per_V * lagged(apart, data.step_s, effect.lag_s)
+            y, low, high = ((values - through) / gain for values in (y, low, high))
+            return Seen(y, low, high, seen.log_slope - np.log(gain))
         case model.ReadingPattern(offsets_V=offsets, first=first):
             offset = np.array(offsets)[(data.slot + first) % len(offsets)]
             return replace(seen, y=y - offset, low=low - offset, high=high - offset)

@@ -49,14 +49,11 @@ class ThermalDriftRealisation:
     """A linear process of the state (temperature, lagged temperature), or of the temperature alone without lag."""
 
     def __init__(self, drift: ThermalDrift, rng: Generator) -> None:
-        warm = 1 / drift.tau_s
-        drive = drift.sd_C * sqrt(2 * warm)
         if drift.lag_s > 0:
-            follow = 1 / drift.lag_s
-            self._process = LinearProcess(
-                rng, np.array([[-warm, 0.0], [follow, -follow]]), np.array([drive, 0.0]), np.eye(2)
-            )
+            self._process = followed(rng, drift.sd_C, drift.tau_s, drift.lag_s)
         else:
+            warm = 1 / drift.tau_s
+            drive = drift.sd_C * sqrt(2 * warm)
             self._process = LinearProcess(rng, np.array([[-warm]]), np.array([drive]), np.ones((2, 1)))
         self._drift = drift
         self.name = drift.witness
@@ -73,14 +70,20 @@ class ThermalDriftRealisation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SupplyCoupling:
-    """A gain that follows the supply, y (1 + coefficient (supply - mean)): a ratiometric sensor read absolutely.
+    """What a supply does to readings, y (1 + g d) + c d' with d = supply - mean and d' the same after a lag.
 
-    The supply is a Gauss-Markov process; a second meter reads it at the instant of each reading.
+    The gain g is a ratiometric sensor's that is read absolutely; the offset c is what an amplifier lets through of its
+    supply. The supply is a Gauss-Markov process; a second meter reads it at the instant of each reading. With both
+    coefficients 0 it is a supply that does not matter.
     """
 
     effect: Literal["supply_coupling"] = "supply_coupling"
-    coefficient_per_V: Finite
-    """1/V."""
+    coefficient_per_V: Finite = 0.0
+    """g, 1/V."""
+    coefficient_V_per_V: Finite = 0.0
+    """c, V/V."""
+    lag_s: NonNegative = 0.0
+    """Of the offset, time constant, s."""
     sd_V: Positive
     """Standard deviation of the supply, V."""
     tau_s: Positive
@@ -96,18 +99,34 @@ class SupplyCoupling:
 
 
 class SupplyCouplingRealisation:
-    """Multiplies readings by what the supply was, and says what that was."""
+    """Multiplies readings by what the supply was, adds what it lets through, and says what it was."""
 
     def __init__(self, coupling: SupplyCoupling, rng: Generator) -> None:
         self._coupling = coupling
-        self._supply = GaussMarkov.from_sd(coupling.sd_V, coupling.tau_s).realise(rng)
+        self._supply: LinearProcess | None = None
+        if coupling.lag_s > 0:
+            self._supply = followed(rng, coupling.sd_V, coupling.tau_s, coupling.lag_s)
+        else:
+            self._alone = GaussMarkov.from_sd(coupling.sd_V, coupling.tau_s).realise(rng)
 
     def apply(self, readings: Readings) -> Readings:
         """Return the readings with that gain, and the supply beside them."""
-        deviation_V = self._supply.average(readings.stamp_s, _LOOK_S)
+        if self._supply is None:
+            deviation_V = lagged_V = self._alone.average(readings.stamp_s, _LOOK_S)
+        else:
+            deviation_V, lagged_V = self._supply.average(readings.stamp_s, _LOOK_S).T
         supply = Witness(readings.stamp_s, self._coupling.mean_V + deviation_V)
+        gain = 1 + self._coupling.coefficient_per_V * deviation_V
         return replace(
             readings,
-            value_V=readings.value_V * (1 + self._coupling.coefficient_per_V * deviation_V),
+            value_V=readings.value_V * gain + self._coupling.coefficient_V_per_V * lagged_V,
             witnesses={**readings.witnesses, self._coupling.witness: supply},
         )
+
+
+def followed(rng: Generator, sd: float, tau_s: float, lag_s: float) -> LinearProcess:
+    """Return a first-order process and what a first-order lag makes of it, in the stationary law."""
+    fade, follow = 1 / tau_s, 1 / lag_s
+    return LinearProcess(
+        rng, np.array([[-fade, 0.0], [follow, -follow]]), np.array([sd * sqrt(2 * fade), 0.0]), np.eye(2)
+    )

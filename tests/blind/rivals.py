@@ -8,9 +8,9 @@ plant fitted again. Two names are told apart in 95 % of the cases from 5.4 nats 
 of it is the odds' deviations).
 
 Of what the readings themselves make in the mean, a bent scale, a gain that follows the supply and an offset of the
-wider range, each is a rival of the others, and a witness that adds instead of multiplying one of the gain: where the
-level does not move, they are the same readings. A bent scale is also louder where the slope is larger, and a rival
-noise takes that part of what its score is made of.
+wider range, each is a rival of the others, and a supply that adds late one of the gain. (One that adds at once has the
+gain's name: where the level does not move, they are the same readings.) A bent scale is also louder where the slope is
+larger, and a rival noise takes that part of what its score is made of.
 
 A rival of which the truth is a special case is none: a line is a sweep of no sweep. None where no rival is written for
 the kind: noise that is not Gaussian, what is counted, jumps between two levels.
@@ -103,7 +103,7 @@ def shapes(run: Run, effect: Effect, shown: np.ndarray) -> Iterator[tuple[str, l
     if cause in OF_READINGS:
         yield from of_readings(run, cause)
     if cause == "supply_coupling":
-        yield from with_supply(run)
+        yield from late_supply(run)
 
 
 def sines(shown: np.ndarray, t_s: np.ndarray) -> Iterator[list[np.ndarray]]:
@@ -138,17 +138,12 @@ def of_readings(run: Run, cause: str) -> Iterator[tuple[str, list[np.ndarray]]]:
         yield "supply_coupling", [value * (supply(make_world(run)) - 5)]
 
 
-def with_supply(run: Run) -> Iterator[tuple[str, list[np.ndarray]]]:
-    """Yield the supply added to the readings instead of scaling them: as it is, through a lag, and late."""
+def late_supply(run: Run) -> Iterator[tuple[str, list[np.ndarray]]]:
+    """Yield the supply as it was a while before, added to the readings instead of scaling them."""
     apart = supply(make_world(run)) - 5
-    yield "thermal_drift", [apart]
     for lag_s in np.geomspace(0.1, 300, 25):
         back = min(max(round(lag_s / run.plant.interval_s), 1), apart.size - 1)
         yield "latency", [np.concatenate((np.full(back, apart[0]), apart[:-back]))]
-        keep, lagged = exp(-run.plant.interval_s / lag_s), apart.copy()
-        for k in range(1, apart.size):
-            lagged[k] = keep * lagged[k - 1] + (1 - keep) * apart[k]
-        yield "thermal_drift", [lagged]
 
 
 def noisy_rivals(run: Run, effect: Effect, whitened: Callable[[np.ndarray], np.ndarray]) -> Iterator[tuple[float, str]]:

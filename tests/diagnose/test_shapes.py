@@ -76,11 +76,30 @@ def with_supply(*, gain, level_V):
     supply = 5 + 0.1 * markov(rng, N, 10.0, 1.0)
     value = level_V + clean(21)
     apart = supply - supply.mean()
-    value = value * (1 + 4e-3 / level_V * apart) if gain else value + 4e-3 * apart
-    (finding,) = criticise(series(value, witnesses={"supply": supply})).findings
-    return finding.names
+    value = value * (1 + 4e-3 / value.mean() * apart) if gain else value + 4e-3 * apart
+    return criticise(series(value, witnesses={"supply": supply}))
 
 
-def test_a_gain_on_a_still_level_is_in_one_set_with_an_offset_and_first_of_a_supply():
+def test_a_gain_on_a_still_level_has_one_name_with_an_offset_and_is_told_first_of_a_supply():
     """What moves is a hundredth of the level, so of D some ten thousandths tell them apart, and of 60 nats nothing."""
-    assert with_supply(gain=True, level_V=1.0) == ("supply_coupling", "thermal_drift")
+    (finding,) = with_supply(gain=True, level_V=1.0).findings
+
+    assert finding.names == ("supply_coupling",)
+    told = finding.parameters
+    assert told["coefficient_per_V"].low < 2e-3 < told["coefficient_per_V"].high  # of a level of 2 V
+    assert told["coefficient_V_per_V"].low < 4e-3 < told["coefficient_V_per_V"].high
+
+
+def test_what_is_let_through_of_a_supply_is_called_so_and_extends_the_model():
+    """Of readings about 0 V a gain would leave hardly anything."""
+    diagnosis = with_supply(gain=False, level_V=-1.0)
+    (finding,) = diagnosis.findings
+    told = finding.parameters["coefficient_V_per_V"]
+
+    assert finding.names == ("supply_coupling",)
+    assert finding.probability > 0.95
+    assert told.low < 4e-3 < told.high
+    assert told.unit == "V/V"
+    (effect,) = diagnosis.extended_model["effects"]
+    assert effect["coefficient_V_per_V"] == pytest.approx(told.value)
+    assert effect["coefficient_per_V"] == 0

@@ -145,3 +145,16 @@ def test_the_supply_multiplies_readings_as_its_witness_tells():
 
     assert read.value_V == pytest.approx(3.0 * (1 + 0.2 * (read.witnesses["supply"].value - 5.0)), rel=1e-12)
     assert read.witnesses["supply"].value.std() == pytest.approx(0.1, rel=5 * sqrt(1 / (100 / 4)))
+
+
+def test_what_is_let_through_of_the_supply_follows_it_with_its_lag():
+    index = np.arange(1000)
+    readings = Readings(index, index * 0.1, np.zeros(1000))
+    coupling = SupplyCoupling(coefficient_V_per_V=0.2, lag_s=1.5, sd_V=0.1, tau_s=20.0, mean_V=5.0)
+    read = coupling.realise(np.random.default_rng(SEED)).apply(readings)
+    apart_V = read.witnesses["supply"].value - 5.0
+
+    keep, followed = exp(-0.1 / 1.5), [read.value_V[0] / 0.2]  # by the trapezoidal rule, from its own first value on
+    for now, before in zip(apart_V[1:], apart_V[:-1], strict=True):
+        followed.append(followed[-1] * keep + (1 - keep) * (now + before) / 2)
+    assert read.value_V == pytest.approx(0.2 * np.array(followed), abs=5e-4)  # 5 deviations of the path between readings

@@ -1,4 +1,4 @@
-"""What a second instrument saw: a temperature that couples, late or through a lag, and a supply that scales."""
+"""What a second instrument saw: what couples to it, as it is, late or through a lag, and what it scales."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,9 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts
+from aemd.diagnose.hypothesis import Bounds, Data, Parameter, Parts, Term
 
-__all__ = ["Latency", "SupplyCoupling", "ThermalDrift", "delayed", "lagged", "odds_against", "unit_of"]
+__all__ = ["Latency", "SupplyCoupling", "ThermalDrift", "called", "delayed", "lagged", "odds_against", "unit_of"]
 
 Floats = NDArray[np.float64]
 
@@ -55,6 +55,12 @@ def odds_against(cause: str, witness: str) -> float:
     return _SELDOM if unit_of(witness) in unusual.get(cause, ()) else 0.0
 
 
+def called(term: Term) -> str:
+    """Return the name of a term for a user: its cause, but of a voltage that adds, what one that scales has."""
+    adds = isinstance(term, ThermalDrift) and unit_of(term.witness) == "V"
+    return "supply_coupling" if adds else term.cause
+
+
 def delayed(values: Floats, t_s: Floats, lag_s: float) -> Floats:
     """Return a series as it was a while before, held at its ends, shape (n,)."""
     return np.asarray(np.interp(t_s - lag_s, t_s, values))
@@ -73,7 +79,10 @@ def lagged(values: Floats, step_s: Floats, lag_s: float) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class ThermalDrift:
-    """A coefficient times a witness, after a first-order lag; free numbers the coefficient and a lag's logarithm."""
+    """A coefficient times a witness, after a first-order lag; free numbers the coefficient and a lag's logarithm.
+
+    Of a voltage too, whose gain is its rival and so of another cause; see `called`.
+    """
 
     witness: str
     lag_s: float
@@ -178,7 +187,10 @@ class SupplyCoupling:
         parts.scale = parts.scale * gain
         parts.noise_var, parts.averaged = parts.noise_var * gain**2, parts.averaged * gain**2
 
-    def parameters(self, data: Data) -> Sequence[Parameter]:  # noqa: ARG002 - a Term's
-        """Return the coefficient."""
-        per = unit_of(self.witness)
-        return [Parameter(f"coefficient_per_{per}", f"1/{per}", lambda v: float(v[0]), positive=False)]
+    def parameters(self, data: Data) -> Sequence[Parameter]:
+        """Return the coefficient, and what it comes to at the mean level: of a still one nothing says which it is."""
+        per, level_V = unit_of(self.witness), data.origin_V + float(np.mean(data.y[data.used])) * data.unit_V
+        return [
+            Parameter(f"coefficient_per_{per}", f"1/{per}", lambda v: float(v[0]), positive=False),
+            Parameter(f"coefficient_V_per_{per}", f"V/{per}", lambda v: float(v[0]) * level_V, positive=False),
+        ]
