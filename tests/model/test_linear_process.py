@@ -157,4 +157,5 @@ def test_what_is_let_through_of_the_supply_follows_it_with_its_lag():
     keep, followed = exp(-0.1 / 1.5), [read.value_V[0] / 0.2]  # by the trapezoidal rule, from its own first value on
     for now, before in zip(apart_V[1:], apart_V[:-1], strict=True):
         followed.append(followed[-1] * keep + (1 - keep) * (now + before) / 2)
-    assert read.value_V == pytest.approx(0.2 * np.array(followed), abs=5e-4)  # 5 deviations of the path between readings
+    # Within 5 deviations of what the path does between readings.
+    assert read.value_V == pytest.approx(0.2 * np.array(followed), abs=5e-4)
