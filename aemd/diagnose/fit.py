@@ -14,7 +14,7 @@ from aemd.diagnose.kernels import follow_telegraph, predict, whiten
 from aemd.diagnose.sharpened import sharpened
 from aemd.diagnose.starts import spectral_starts, usual_starts, with_drift, without_jumps
 from aemd.diagnose.terms.events import Popcorn
-from aemd.diagnose.terms.noise import DifferenceNoise, Smoothing
+from aemd.diagnose.terms.noise import DifferenceNoise, HeavyTails, Smoothing
 from aemd.diagnose.terms.shapes import Step
 
 __all__ = [
@@ -298,6 +298,6 @@ def begin_with(fit: Fit, term: Term) -> list[Floats]:
         start = spectral_starts(replace(fit.data, y=fit.data.y - known), rising=True)[0]
         anew[:5], anew[-1] = start[:5], start[-1]
         return [theta, anew]
-    elif isinstance(term, Popcorn) and term.beside:
+    elif isinstance(term, Popcorn | HeavyTails) and term.beside:
         return [theta, np.concatenate((term.beside, term.start))]
     return [theta]

@@ -144,6 +144,18 @@ def test_tails_that_shocks_were_fitted_to_are_found_beside_them():
     assert isinstance(tails, HeavyTails)
 
 
+def test_tails_are_given_back_what_shocks_that_are_loud_and_slow_had_taken_beside_them():
+    """One law of shocks for both is that of many faint ones that fade within a reading."""
+    rng, n = np.random.default_rng(12), 3000
+    y = clean(12, n, white=0.0, shocks_per_s=0.03, shock_sd=6.0, decay_s=0.6)
+    fit = fit_base(make_data(series(y + 0.8e-3 * rng.standard_t(3.0, n) / np.sqrt(3))))
+    gain, tails = gain_of_tails(fit)
+
+    assert np.exp(fit.theta[8]) < 0.1
+    assert gain > 30
+    assert np.exp(tails.beside[8]) > 0.3
+
+
 @pytest.mark.parametrize("shocks_per_s", [0.0, 0.05])
 def test_a_normal_noise_has_no_tails(shocks_per_s):
     gain, _ = gain_of_tails(fit_base(make_data(series(clean(6, shocks_per_s=shocks_per_s)))))

@@ -9,7 +9,7 @@ from scipy.stats import norm
 from aemd.diagnose.checks.witnessed import gains_like_noise
 from aemd.diagnose.fit import fit_base, refit, residuals
 from aemd.diagnose.hypothesis import Base, base_box, make_data
-from aemd.diagnose.naming import _does_not_fit, _left_out
+from aemd.diagnose.naming import _does_not_fit, left_out
 from aemd.diagnose.terms.noise import HeavyTails, SignalDependentNoise
 from aemd.diagnose.terms.shapes import Nonlinearity
 from tests.diagnose.plant import INTERVAL_S, N, clean, series
@@ -41,7 +41,7 @@ def test_the_skewness_that_the_filter_leaves_out_is_what_the_exact_density_gains
     exact = np.log(norm.pdf(y[:, None], grid, GAIN * grid) @ weights)
     plain = norm.logpdf(y, 1.0, np.hypot(NEWS_V, GAIN))
 
-    owed = _left_out([base, term], np.concatenate((base.start, term.start)), data)
+    owed = left_out([base, term], np.concatenate((base.start, term.start)), data)
 
     assert owed > 10
     assert owed == pytest.approx(float(np.sum(exact - plain)), rel=0.2)
@@ -54,14 +54,14 @@ def test_news_that_lift_no_reading_take_nothing_from_the_name():
     data = replace(data, y=(1.0 + np.hypot(NEWS_V, GAIN) * even - data.origin_V) / data.unit_V)
     term = SignalDependentNoise(GAIN, 0.0)
 
-    assert 0 <= _left_out([base, term], np.concatenate((base.start, term.start)), data) < 1
+    assert 0 <= left_out([base, term], np.concatenate((base.start, term.start)), data) < 1
 
 
 def test_of_other_names_nothing_is_left_out():
     data, base = white_plant()
     term = Nonlinearity(0.01, 0.0)
 
-    assert _left_out([base, term], np.concatenate((base.start, term.start)), data) == 0.0
+    assert left_out([base, term], np.concatenate((base.start, term.start)), data) == 0.0
 
 
 def test_of_readings_about_nothing_the_noise_tells_how_a_gain_follows_the_supply():

@@ -10,15 +10,14 @@ from aemd.diagnose.climb import Climb
 from aemd.diagnose.fit import Fit
 from aemd.diagnose.hypothesis import Term
 
-__all__ = ["LONG", "MOST_OF_ONE", "MOST_OF_ONE_SIDED", "gain_of", "tail_of_one"]
+__all__ = ["LONG", "MOST_OF_ONE", "gain_of", "tail_of_one"]
 
 Floats = NDArray[np.float64]
 
 LONG = 100_000
 """Readings from which scores do alone: what there is to see is smaller and nearer to its slope, and a climb costs."""
-MOST_OF_ONE, MOST_OF_ONE_SIDED = (float(chi2.isf(share, 1)) / 2 for share in (0.05, 0.10))
-"""Nats, 1.92 and 1.35: of one number too many 19 records of 20 gain no more, where it may be of either sign and where
-it ends at none, which half of the records are at."""
+MOST_OF_ONE = float(chi2.isf(0.05, 1)) / 2
+"""Nats, 1.92: of one number too many 19 records of 20 gain no more."""
 _FIRST_STEPS, _LAST_STEPS = 2, 10
 """Of each climb, and of the one that goes on at most."""
 _PROMISING = 6.0

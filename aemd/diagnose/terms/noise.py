@@ -359,6 +359,8 @@ class HeavyTails:
     fraction: float
     sd: float
     cost_nats: float
+    beside: tuple[float, ...] = ()
+    """Free numbers of all other terms where the check found most: those without tails have them as shocks."""
     cause: str = "heavy_tails"
 
     @property
