@@ -212,7 +212,7 @@ def _log_ratios(fit: Fit, loud: _Loud, frequencies_hz: Floats, decay_s: float) -
     is known from what came before the readings that it is held against.
     """
     data = fit.data
-    ends = np.minimum(np.searchsorted(data.t_s, data.t_s[loud.at - 1] + _FOLLOWED * decay_s) + 1, loud.until)
+    ends = np.minimum(np.searchsorted(data.t_s, data.t_s[loud.at - 1] + _FOLLOWED * decay_s), loud.until)
     ends = np.maximum(ends, loud.at + 1)
     places = np.concatenate([np.arange(begin, end) for begin, end in zip(loud.at, ends, strict=True)])
     edges = np.concatenate(([0], np.cumsum(ends - loud.at)[:-1]))

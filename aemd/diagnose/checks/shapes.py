@@ -148,7 +148,7 @@ def _with_less(fit: Fit) -> list[_Promised]:
     if not isinstance(fit.terms[0], Base):
         return []
     slower = fit.theta.copy()
-    slower[3] -= _LESS_DRIFT
+    slower[3 if slower[2] > slower[0] else 1] -= _LESS_DRIFT
     tries = [slower]
     if fit.base.shocks and fit.theta[8] > log(_LASTING * fit.data.interval_s):
         for theta in (fit.theta, slower):
