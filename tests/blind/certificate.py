@@ -181,8 +181,10 @@ def size_for(
         if not shown.unit.any():
             return None  # such as a ring-down without a shock
 
+    least = 0.1 if KINDS[effect.cause] == "path" else 1e-9  # of noise that is drawn less tells no slope
+
     def excess(log_size: float) -> float:
-        return log(max(d_nats(run, replace(effect, size=exp(log_size)), shown, beside), 1e-9)) - log(d_target)
+        return log(max(d_nats(run, replace(effect, size=exp(log_size)), shown, beside), least)) - log(d_target)
 
     at, slope = log(effect.size) if beside else first_guess(d_target, run, effect, shown, low, high), 2.0
     beyond = excess(at)
