@@ -41,8 +41,9 @@ Floats = NDArray[np.float64]
 _BLOCK_S = 60.0
 SLOW = ("thermal_drift", "supply_coupling", "flicker_noise", "random_walk", "extra_gauss_markov")
 """Terms that are scored forward."""
-LOCAL = ("step", "warmup_drift", "ring_down")
-"""Events, of which single readings are held out; of a ring-down the loudest shock's is often most of all."""
+LOCAL = ("step", "warmup_drift", "ring_down", "heavy_tails")
+"""Events, of which single readings are held out; of a ring-down the loudest shock's is often most of all, and tails
+stand beside shocks, of which there may be a handful, and which a base without tails has by the dozen."""
 _READINGS = 0.0
 """Length of a block that stands for single readings, s."""
 _FOLDS = 4

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from aemd.diagnose.checks.shapes import step_scores
+from aemd.diagnose.checks.tails import gain_of_tails
 from aemd.diagnose.fit import fit_base, refit
 from aemd.diagnose.gain import HeldOut, block_of, measure_gain
 from aemd.diagnose.hypothesis import make_data
@@ -59,3 +60,18 @@ def test_a_step_that_the_base_takes_for_a_shock_is_worth_much_on_other_readings(
 
     assert less.base.shocks
     assert measure_gain(before, after, N).nats_total > 0.5 * (more.log_likelihood - less.log_likelihood)
+
+
+def test_tails_beside_a_handful_of_shocks_are_worth_on_other_readings_what_they_add():
+    """The base has both as many faint shocks, which each block knows; of the few real ones no half tells the law."""
+    rng, n = np.random.default_rng(16), 3_000
+    y = clean(16, n, white=0.0, shocks_per_s=0.02, shock_sd=6.0, decay_s=0.6)
+    less = fit_base(make_data(series(y + 0.8e-3 * rng.standard_t(3.0, n) / np.sqrt(3))))
+    _, tails = gain_of_tails(less)
+    more = refit([*less.terms, tails], less.data, np.array([*tails.beside, *tails.start]))
+    held = HeldOut(less.data, block_of(less.data, [tails]), more.each)
+    before, after = (held.score(of.terms, of.theta, forward=False) for of in (less, more))
+    fitted = more.log_likelihood - less.log_likelihood
+
+    assert less.base.shocks
+    assert abs(measure_gain(before, after, n).nats_total - fitted) < np.sqrt(2 * fitted)
