@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aemd.diagnose.drifts import drifts, is_slow
+from aemd.diagnose.edges import ends_of_places
 from aemd.diagnose.fit import Fit, climb
 from aemd.diagnose.hypothesis import Parameter
 from aemd.diagnose.instants import rings
@@ -80,8 +81,14 @@ def describe(fit: Fit, number: int, spread: Floats) -> Mapping[str, Value]:
     low, high = np.array(term.bounds, np.float64).reshape(-1, 2).T
     ends = np.where(theta >= high, 1.0, np.where(theta <= low, -1.0, 0.0))
     mixed = beside(fit, number) if number else None
+    scanned = ends_of_places(fit, number)
     return {
-        parameter.name: _within_limits(parameter, _interval(parameter, fit, number, own, ends, mixed))
+        parameter.name: _within_limits(
+            parameter,
+            _interval(
+                replace(parameter, ends=scanned.get(parameter.name, parameter.ends)), fit, number, own, ends, mixed
+            ),
+        )
         for parameter in term.parameters(fit.data)
     }
 

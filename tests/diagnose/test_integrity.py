@@ -219,3 +219,34 @@ def test_losses_that_the_numbers_hide_are_seen_in_the_stamps_and_no_clock_is_bla
 
     assert defect.cause == "missing_samples"
     assert defect.parameters["lost"].value == pytest.approx((~keep).sum(), abs=2)  # those at the ends nobody can see
+
+
+@pytest.mark.parametrize("offset_V", [0.0, 3e-4, -4e-4])
+def test_the_offset_of_a_lattice_is_known_as_well_as_its_readings_are_written(offset_V):
+    step_V = 2e-3
+    on_it = np.round(np.round((clean(2) - offset_V) / step_V) * step_V + offset_V, 6)
+
+    told = {defect.cause: defect for defect in check_raw(series(on_it), SD_V)}["quantisation"].parameters["offset_V"]
+
+    assert told.low <= told.value <= told.high
+    assert told.value == pytest.approx(offset_V, abs=1e-7)
+    assert told.high - told.low < 1e-6
+
+
+def test_instants_that_readings_tell_are_known_to_a_reading():
+    y = clean(7)
+    y[1000:1040] = y[1000]  # from somewhere between that reading and the next on
+    stuck = check_raw(series(y), SD_V)[0].parameters
+
+    assert stuck["time_s"].low <= times()[1000] < times()[1001] <= stuck["time_s"].high + 1e-9
+    assert stuck["dwell_s"].low <= 39 * INTERVAL_S < 40 * INTERVAL_S <= stuck["dwell_s"].high
+    assert stuck["fraction"].low == stuck["fraction"].high  # counted
+
+
+def test_a_range_that_cut_a_lattice_ends_within_a_cell():
+    y = np.round(clean(3), 4)
+    level = np.quantile(y, 0.93)
+    told = {d.cause: d for d in check_raw(series(np.minimum(y, level)), SD_V)}["saturation"].parameters["level_V"]
+
+    assert told.low == pytest.approx(level - 5e-5, abs=1e-9)
+    assert told.high == pytest.approx(level + 5e-5, abs=1e-9)

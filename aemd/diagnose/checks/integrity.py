@@ -6,7 +6,7 @@ no cell of a lattice of step q holds more than erf(q / sqrt(8 S)) of the next re
 """
 
 from dataclasses import replace
-from math import erf, inf, log, log10, nan, sqrt
+from math import erf, inf, log, log10, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,28 @@ def _tie_probability(values: Floats, q_V: float, innovation_sd_V: float) -> floa
     return max(erf(q_V / sqrt(8) / innovation_sd_V), 1e-9)
 
 
+def _to_a_reading(time_s: float, series: Series) -> Value:
+    """Return a time that readings tell: what was between two of them, nobody saw."""
+    return Value(time_s, max(time_s - series.interval_s, 0.0), time_s + series.interval_s, "s")
+
+
+def _to_half_a_step(level_V: float, q_V: float) -> Value:
+    """Return a level that readings rest at: on a lattice it may be anywhere in its cell."""
+    return Value(level_V, level_V - q_V / 2, level_V + q_V / 2, "V")
+
+
+def _offset(values: Floats, q_V: float) -> Value:
+    """Return how far from 0 V the lattice's nearest point is, as closely as the readings keep to their lattice.
+
+    Readings that were written to fewer digits than the lattice has lie beside it by up to half the last of these.
+    """
+    turns = values / q_V
+    here = float(np.angle(np.mean(np.exp(2j * pi * turns)))) / (2 * pi)
+    off = np.abs(turns - here - np.rint(turns - here))
+    wide_V = float(np.quantile(off, 0.95)) * q_V
+    return Value(here * q_V, here * q_V - wide_V, here * q_V + wide_V, "V")
+
+
 def _runs(values: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return where runs of equal values begin, and their lengths; NaN equals nothing."""
     edges = np.flatnonzero(np.concatenate(([True], values[1:] != values[:-1], [True])))
@@ -99,8 +121,8 @@ def dead_band(series: Series, q_V: float, innovation_sd_V: float) -> Defect | No
         p_value=p_value,
         parameters={
             "width_V": Value(width, 0.9 * width, width, "V"),
-            "level_V": exact(float(distinct[at]), "V"),
-            "fraction": exact(counts[at] / values.size, ""),
+            "level_V": _to_half_a_step(float(distinct[at]), q_V),
+            "fraction": exact(float(counts[at]) / values.size, ""),
         },
         experiment="move the input slowly through the level: the reading stays there and then jumps",
         check="returns to one value with none beside it",
@@ -130,8 +152,8 @@ def stuck_readings(series: Series, q_V: float, innovation_sd_V: float) -> Defect
         p_value=min(1.0, 10 ** max(log10(values.size) + (longest - 1) * log10(tie), -300)),
         parameters={
             "fraction": exact(float(dropped.mean()), ""),
-            "dwell_s": exact(float(lengths[stuck].mean()) * series.interval_s, "s"),
-            "time_s": exact(float(series.time_s[begins[stuck][0]]), "s"),
+            "dwell_s": _to_a_reading(float(lengths[stuck].mean()) * series.interval_s, series),
+            "time_s": _to_a_reading(float(series.time_s[begins[stuck][0]]), series),
         },
         experiment="read the meter's memory directly: if its values change while the log's do not, the link repeats",
         check="longest run of equal readings",
@@ -191,10 +213,10 @@ def replayed_block(series: Series, q_V: float) -> Defect | None:
         cause="replayed_block",
         p_value=float(np.exp(2 * log(n) - min(float(np.sum(surprise[first : first + length - 1])), 700))),
         parameters={
-            "time_s": exact(float(series.time_s[first]), "s"),
+            "time_s": _to_a_reading(float(series.time_s[first]), series),
             "fraction": exact(float(dropped.mean()), ""),
-            "dwell_s": exact(length * series.interval_s, "s"),
-            "lag_s": exact(float(series.time_s[at] - series.time_s[original]), "s"),
+            "dwell_s": _to_a_reading(length * series.interval_s, series),
+            "lag_s": _to_a_reading(float(series.time_s[at] - series.time_s[original]), series),
         },
         experiment="number the readings at the meter (its memory's index) and look whether numbers come twice",
         check="longest stretch that occurs twice, readings",
@@ -214,8 +236,8 @@ def quantisation(series: Series, q_V: float, innovation_sd_V: float) -> Defect |
         cause="quantisation",
         p_value=float(10 ** max(-(values.size - distinct) * 3.0, -300)),
         parameters={
-            "step_V": Value(q_V, q_V, q_V, "V"),
-            "offset_V": Value(float(values[0] % q_V), nan, nan, "V"),
+            "step_V": exact(q_V, "V"),
+            "offset_V": _offset(values, q_V),
             "ratio": exact(q_V / innovation_sd_V, ""),
         },
         experiment="log one more digit, or read in binary: the lattice goes if it was the log's, not if the meter's",
@@ -257,8 +279,8 @@ def saturation(series: Series, q_V: float, innovation_sd_V: float) -> Defect | N
         cause="saturation",
         p_value=0.0 if overloads else float(np.exp(max(log_p, -690.0))),
         parameters={
-            "level_V": exact(level, "V"),
-            **({"other_level_V": exact(max(ends)[1], "V")} if len(ends) > 1 else {}),
+            "level_V": _to_half_a_step(level, q_V),
+            **({"other_level_V": _to_half_a_step(max(ends)[1], q_V)} if len(ends) > 1 else {}),
             "fraction": exact(float(clipped.mean()), ""),
         },
         experiment="take the next range for a minute: the readings go beyond the level if the range cut them",

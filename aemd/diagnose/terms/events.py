@@ -21,7 +21,7 @@ _FREE: Bounds = (-1e9, 1e9)
 class PeriodicGlitch:
     """A rectangular pulse at begin + m period; free number its size.
 
-    The instants are those that the folding found and are reported without interval: the likelihood is flat between
+    The instants are those that the folding found, and their intervals are a scan's: the likelihood is flat between
     those at which a pulse's edge passes a reading.
     """
 

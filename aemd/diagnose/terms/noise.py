@@ -243,7 +243,7 @@ class Smoothing:
 class ChangingNoise:
     """White noise whose deviation is multiplied by a ratio from one instant to another; free number log ratio.
 
-    The instants are those of the check's largest excursion; they are not fitted, and reported without interval.
+    The instants are those of the check's largest excursion; they are not fitted, and their intervals are a scan's.
     """
 
     begin_s: float

@@ -36,7 +36,7 @@ def ranges_of(magnitude: Floats, threshold: float, hysteresis: float) -> Floats:
 class RangeSwitching:
     """An offset and additional noise in the wider range; free numbers the offset and the logarithm of that noise.
 
-    The threshold is where the check found most, and reported without interval.
+    The threshold is where the check found most, and its interval is a scan's.
     """
 
     threshold: float
