@@ -12,6 +12,7 @@ from aemd.diagnose.checks.folding import _fold
 from aemd.diagnose.checks.ranges import check_hole
 from aemd.diagnose.checks.shocks import check_shock_law, coins_tail
 from aemd.diagnose.checks.tails import gain_of_tails, tail_of_gain
+from aemd.diagnose.checks.telegraph import check_popcorn
 from aemd.diagnose.fit import fit_base
 from aemd.diagnose.hypothesis import make_data
 from aemd.diagnose.kernels import MARKOV, log_densities, telegraph_densities
@@ -19,7 +20,7 @@ from aemd.diagnose.steadiness import allan_deviation
 from aemd.diagnose.terms.events import rung
 from aemd.diagnose.terms.noise import HeavyTails
 from aemd.diagnose.terms.witnessed import unit_of
-from tests.diagnose.plant import INTERVAL_S, clean, series
+from tests.diagnose.plant import INTERVAL_S, clean, markov, series
 
 
 def telegraph_paths(n, low_s, high_s):
@@ -96,6 +97,14 @@ def test_beside_a_level_that_never_rises_shocks_are_followed_as_without_it():
     without = log_densities(y, np.ones(n, bool), *columns, fading, shocks, np.zeros(6)).sum()
 
     assert telegraph_nats(y, 2.0, 1e15, 1.0, noise, fading, shocks) == pytest.approx(without, abs=1e-6)
+
+
+def test_jumps_too_small_to_be_seen_one_by_one_are_found_where_a_fast_drift_stands_for_them():
+    n, rng = 6000, np.random.default_rng(4)
+    level = np.searchsorted(np.cumsum(rng.exponential(300, 60)), np.arange(n)) % 2
+    y = 0.92 * rng.standard_normal(n) + 1.76 * level + markov(rng, n, 0.33, 0.79) + markov(rng, n, 480.0, 0.47)
+
+    assert check_popcorn(fit_base(make_data(series(1e-3 * y)))).p_value < 1e-6
 
 
 def test_the_law_of_coins_is_the_count_of_their_sides():
