@@ -168,7 +168,8 @@ def _loud(fit: Fit) -> _Loud | None:
     A shock within an aperture shows in that reading in part and in the next one in full: then it is the next that it is
     followed from. The earlier it came, the larger it was, and the less likely.
     """
-    _, parts, (_, _, _, states, _, _) = assemble(fit.terms, fit.theta, fit.data)
+    _, parts, arguments = assemble(fit.terms, fit.theta, fit.data)
+    states = arguments[3]
     rate_per_s, jump_var, at_state = parts.shocks[:3]
     if at_state < 0 or parts.telegraph is not None:
         return None
