@@ -34,9 +34,16 @@ def tune(
     out: Annotated[
         Path, typer.Option("-o", "--out", metavar="M.toml", help="The new model file; of many, the folder of theirs.")
     ],
+    model: Annotated[
+        Path | None,
+        typer.Option("--model", metavar="M.toml", help="A model whose estimator is refined, its parts as they are."),
+    ] = None,
     from_s: Annotated[float, typer.Option("--from", min=0.0, help="Begin of the stretch, s from the first.")] = 0.0,
     to_s: Annotated[float, typer.Option("--to", min=0.0, help="End of the stretch, s from the first.")] = math.inf,
-    lag: Annotated[int, typer.Option(min=0, max=10_000, help="Readings by which the estimate may trail.")] = 0,
+    lag: Annotated[
+        int | None,
+        typer.Option(min=0, max=10_000, help="Readings by which the estimate may trail; 0, or the model's."),
+    ] = None,
     noise_v: Annotated[
         float | None, typer.Option("--noise", min=0.0, help="White noise of a reading, V, where it is known.")
     ] = None,
@@ -45,8 +52,8 @@ def tune(
         typer.Option("--slowest-signal", min=0.0, help="Longest period of the signal, s; slower is drift."),
     ] = None,
     slow: Annotated[
-        Slow, typer.Option(help="What the slow part is: the sensor's drift, or the input's.")
-    ] = "disturbance",
+        Slow | None, typer.Option(help="What the slow part is: the sensor's drift (the default), or the input's.")
+    ] = None,
     resonances: Annotated[
         int, typer.Option(min=0, max=32, help="Most resonances of an input that vibrates, 0 for none; 20 take minutes.")
     ] = 0,
@@ -57,21 +64,25 @@ def tune(
 ) -> None:
     """Find the parameters of the `imm` estimator in a stretch of readings, by their likelihood."""
     from aemd.archive import is_pattern, tune_archive
-    from aemd.tune import tune_recording
+    from aemd.tune import read_start, tune_recording
 
+    if model is not None:  # what is wrong with it is said once, not of each file
+        read_start(model, slow=slow, slowest_signal_s=slowest_s, resonances=resonances)
     options: dict[str, Any] = {
+        "model": model,
         "from_s": from_s,
         "to_s": to_s,
         "lag": lag,
         "noise_V": noise_v,
         "slowest_signal_s": slowest_s,
         "resonances": resonances,
+        "slow": slow,
     }
     if is_pattern(file):
-        many = tune_archive(file, out, jobs=jobs, scheduler=scheduler, console=stderr(), slow=slow, **options)
+        many = tune_archive(file, out, jobs=jobs, scheduler=scheduler, console=stderr(), **options)
         _show_table(many, "aemd tune", html, json=json)
         return
-    result = tune_recording(Path(file), out, slow=slow, **options)
+    result = tune_recording(Path(file), out, **options)
     show(result, "Tuned", json=json)
 
 

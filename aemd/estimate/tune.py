@@ -25,7 +25,7 @@ from aemd.estimate.imm import ImmOptions
 from aemd.estimate.likelihood import LEAST_RATE, SHARP, Kind, Likelihood, usable
 from aemd.estimate.resonance import find_resonances
 
-__all__ = ["Kind", "Tuning", "noise_of", "tune"]
+__all__ = ["Kind", "Tuning", "noise_of", "pieces_of", "tune", "values_of"]
 
 Floats = NDArray[np.float64]
 
@@ -77,15 +77,10 @@ def tune(
     Raises:
         ConfigError: too few readings with a value, or they are all equal.
     """
-    values = [block["value_V"][usable(block)] for block in stretches]
-    together = np.concatenate(values) if values else np.empty(0)
-    if together.size < _LEAST_READINGS:
-        raise ConfigError(f"{together.size} readings with a value: too few to tune by, at least {_LEAST_READINGS}")
-    if np.ptp(together) < _LEAST_SPREAD_V:
-        raise ConfigError(f"all {together.size} readings are {together[0]:g} V: nothing to tune by")
+    together = values_of(stretches)
     origin = float(np.median(together)) if origin_V is None else origin_V
     slowest = 150.0 if slowest_signal_s is None else slowest_signal_s / interval_s
-    pieces = _pieces(stretches)
+    pieces = pieces_of(stretches)
     found = find_resonances([_about(origin, piece) for piece in pieces], resonances) if resonances else None
 
     def likelihood_of(blocks: Sequence[Block]) -> Likelihood:
@@ -129,6 +124,29 @@ def noise_of(block: Block) -> float:
         kept = third[np.abs(third) <= limit]
         limit = 5 * float(np.sqrt(np.mean(kept**2)))
     return float(np.sqrt(np.mean(kept**2) / 20))
+
+
+def values_of(stretches: Sequence[Block]) -> Floats:
+    """Return the readings with a value, V, of all stretches.
+
+    Raises:
+        ConfigError: they are too few to tune by, or all equal.
+    """
+    together = np.concatenate([np.empty(0), *(block["value_V"][usable(block)] for block in stretches)])
+    if together.size < _LEAST_READINGS:
+        raise ConfigError(f"{together.size} readings with a value: too few to tune by, at least {_LEAST_READINGS}")
+    if np.ptp(together) < _LEAST_SPREAD_V:
+        raise ConfigError(f"all {together.size} readings are {together[0]:g} V: nothing to tune by")
+    return together
+
+
+def pieces_of(stretches: Sequence[Block]) -> Sequence[Block]:
+    """Return pieces spread evenly over long stretches, on which to explore, or the stretches themselves."""
+    longest = max(stretches, key=len)
+    if sum(map(len, stretches)) <= 2 * _EXPLORED * _PIECE:
+        return stretches
+    starts = np.linspace(0, longest.size - _PIECE, _EXPLORED).astype(int)
+    return [longest[start : start + _PIECE] for start in starts]
 
 
 _KINDS = tuple(Kind(signal, there) for signal in ((), ("markov",), ("swing",)) for there in (True, False))
@@ -222,12 +240,3 @@ def _about(origin_V: float, block: Block) -> tuple[NDArray[np.int64], Floats]:
     """Return the numbers of the readings with a value, and how far each is from the origin."""
     rows = block[usable(block)]
     return rows["index"], rows["value_V"] - origin_V
-
-
-def _pieces(stretches: Sequence[Block]) -> Sequence[Block]:
-    """Return pieces spread evenly over long stretches, or the stretches themselves."""
-    longest = max(stretches, key=len)
-    if sum(map(len, stretches)) <= 2 * _EXPLORED * _PIECE:
-        return stretches
-    starts = np.linspace(0, longest.size - _PIECE, _EXPLORED).astype(int)
-    return [longest[start : start + _PIECE] for start in starts]
