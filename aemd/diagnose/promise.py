@@ -216,8 +216,10 @@ def errors_of(
         aperture_s: of each.
 
     Returns:
-        The root mean square error of each estimate against the model's input, V, and by how much the last one's log
-        density of a reading, given those before it, is above the first one's, on average over the readings.
+        The root mean square error of each estimate against the model's input, V, but for a constant, and by how much
+        the last one's log density of a reading, given those before it, is above the first one's, on average over the
+        readings. The constant is what a drift that is slower than the record adds to all of it: no estimator can tell
+        it from the level, and with it an error may be larger than all that the readings differ by.
     """
     start_s = np.arange(n, dtype=np.float64) * interval_s
     read = made.realise().read(start_s, aperture_s)
@@ -231,7 +233,7 @@ def errors_of(
     errors_V, nats = np.empty(len(options)), np.empty(len(options))
     for number, option in enumerate(options):
         estimates = Imm(option, interval_s).push(block)
-        errors_V[number] = np.sqrt(np.mean((estimates["value_V"] - input_V)[counted] ** 2))
+        errors_V[number] = np.std((estimates["value_V"] - input_V)[counted])
         nats[number] = estimates["log_likelihood"][counted].mean()
     return errors_V, float(nats[-1] - nats[0])
 

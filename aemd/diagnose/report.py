@@ -84,9 +84,15 @@ def format_promise(promise: Promise) -> str:
         return "No estimator here has a place for what was found: with -o it stays the one of the base model."
     before, after = (_engineer(error_V, "V", 3) for error_V in (promise.error_before_V, promise.error_after_V))
     ratio = promise.ratio
+    range_ = f"on a further record of this kind {ratio.low:.2f} to {ratio.high:.2f} times as much"
+    if before == after:
+        return (
+            "An estimator that knows of it (-o) gains nothing for the input, only for the readings: it should err by "
+            f"{after} rms over the record, a constant apart, as without it ({range_})."
+        )
     return (
-        f"An estimator that knows of it (-o) should err by {after} rms of the input instead of {before}: on a further "
-        f"record of this kind {ratio.low:.2f} to {ratio.high:.2f} times as much."
+        f"An estimator that knows of it (-o) should err by {after} rms of the input instead of {before}, over the "
+        f"record and a constant apart: {range_}."
     )
 
 

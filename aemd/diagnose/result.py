@@ -96,7 +96,8 @@ class Promise:
     """What the extended model's estimator should deliver on a further record of the same kind."""
 
     error_before_V: float
-    """Root mean square error of the estimate against the input, by the base's estimator."""
+    """Root mean square error of the estimate against the input over a record, a constant apart, by the base's
+    estimator."""
     error_after_V: float
     """The same, by the extended model's."""
     ratio: Likely

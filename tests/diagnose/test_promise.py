@@ -3,10 +3,14 @@
 import numpy as np
 import pytest
 
+from aemd.diagnose.estimator import estimator_for
 from aemd.diagnose.fit import refit, residuals
 from aemd.diagnose.hypothesis import Base, base_box, make_data
 from aemd.diagnose.intervals import covariance
-from aemd.diagnose.promise import _further, _left_open
+from aemd.diagnose.promise import _further, _left_open, errors_of
+from aemd.diagnose.report import format_promise
+from aemd.diagnose.result import Likely, Promise
+from aemd.model import GaussMarkov, Model, WhiteNoise
 from tests.diagnose.plant import INTERVAL_S, clean, markov, series
 
 N = 250
@@ -88,3 +92,27 @@ def test_a_drift_that_is_hardly_there_is_not_drawn_as_one_that_the_readings_rule
     of_the_noise = np.exp(drawn[:, 3]) * np.sqrt(INTERVAL_S) / np.exp(theta[4])
 
     assert of_the_noise.max() < 0.3  # a step of the drift in each interval, as a share of the white noise
+
+
+def test_a_drift_that_outlasts_the_record_is_a_constant_and_no_error():
+    """Of a signal of 1 mV; the readings differ by little more than that, wherever the drift has them."""
+    made = Model(
+        (
+            GaussMarkov.from_sd(1e-3, 0.5, role="signal"),
+            GaussMarkov.from_sd(50e-3, 1e6, role="internal"),
+            WhiteNoise.from_sd(0.5e-3, 0.02),
+        ),
+        7,
+    )
+    choice, _ = estimator_for(made, interval_s=INTERVAL_S, aperture_s=0.02, span_s=100.0)
+    errors_V, _ = errors_of([choice.options], made, 1_500, INTERVAL_S, 0.02)
+
+    assert errors_V[0] < 1.1e-3
+
+
+@pytest.mark.parametrize(("after_V", "gains"), [(1.7594e-3, False), (1.2e-3, True)])
+def test_a_promise_whose_two_errors_read_alike_says_that_nothing_is_gained(after_V, gains):
+    told = format_promise(Promise(1.7560e-3, after_V, Likely(0.99, 0.96, 1.02), Likely(0.1, 0.1, 0.1), 6_000))
+
+    assert ("gains nothing" in told) is not gains
+    assert ("instead of 1.76 mV" in told) is gains
