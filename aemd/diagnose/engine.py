@@ -110,6 +110,7 @@ def _begin(data: Data, series: Series, stated: tuple[Given, frozenset[str]] | No
     """Return the hypothesis under criticism: the stated one as it is, else the base fitted."""
     if stated is None:
         return fit_base(data)
+    stated[0].refuse(data)
     return residuals([replace(stated[0], aperture_s=series.aperture_s)], np.empty(0), data)
 
 

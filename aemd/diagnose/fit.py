@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from aemd.diagnose.climb import Climb, assemble, climb, densities, race, readings_scores, split
-from aemd.diagnose.hypothesis import Base, Data, Term, base_box, base_start_with_shocks
+from aemd.diagnose.hypothesis import Base, Data, Seen, Term, base_box, base_start_with_shocks
 from aemd.diagnose.kernels import follow_telegraph, predict, whiten
 from aemd.diagnose.sharpened import sharpened
 from aemd.diagnose.starts import spectral_starts, usual_starts, with_drift, without_jumps
@@ -41,6 +41,8 @@ _LONG = 20_000  # readings beyond which the mixture is first fitted to a part
 _LEAST_WHITE = 1e-8  # variance; what apertures average out may leave less than none
 _DECAYS = tuple(0.3 * 1.6**k for k in range(2, 10))
 """Intervals that shocks of the starts take to decay."""
+_MIDDLE = 0.01
+"""Of an interval, within which a reading is its middle."""
 _AT_BOUND = 0.01  # of the logarithm of the shocks' decay
 _SHOCK_SD, _SHOCK_DECAY = 7, 8  # of the base's free numbers
 _TAKEN_FOR_SHOCKS = 20
@@ -109,6 +111,7 @@ def residuals(terms: Sequence[Term], theta: Floats, data: Data) -> Fit:
             parts.telegraph, seen.y, data.used, data.step_s, *arguments
         )
     each = np.where(data.used, each + seen.log_slope, 0.0)
+    y = _placed(seen, z, predicted, variance)
     return Fit(
         data=data,
         terms=tuple(terms),
@@ -121,10 +124,26 @@ def residuals(terms: Sequence[Term], theta: Floats, data: Data) -> Fit:
         gains=gains,
         states=arguments[3],
         mean=arguments[0],
-        y=seen.y,
-        innovation=(seen.y - predicted) * (1 - parts.kept),
+        y=y,
+        innovation=(y - predicted) * (1 - parts.kept),
         white=sqrt(max(float(np.median(arguments[1])), _LEAST_WHITE)),
     )
+
+
+def _placed(seen: Seen, z: Floats, predicted: Floats, variance: Floats) -> Floats:
+    """Return the readings, one that was clipped, or may be of either range, where z has it within its interval.
+
+    Such a reading is not the middle of what it may have been: as it stands, it would be an innovation of its own law,
+    and the values that it hides a hole. Rounded ones stay.
+    """
+    if seen.low is None or seen.high is None:
+        return seen.y
+    bounded = seen.high > seen.low
+    low, high = (np.where(bounded, ends, seen.y) for ends in (seen.low, seen.high))
+    with np.errstate(invalid="ignore"):  # both ends may be open
+        central = np.abs((high - seen.y) - (seen.y - low)) <= _MIDDLE * np.minimum(high - seen.y, seen.y - low)
+    hidden = bounded & ~central
+    return np.where(hidden, np.clip(predicted + z * np.sqrt(variance), seen.low, seen.high), seen.y)
 
 
 def steps_for(data: Data) -> int:

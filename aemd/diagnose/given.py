@@ -18,7 +18,7 @@ from aemd.diagnose.apertures import averaged_markov, averaged_pair, struck_betwe
 from aemd.diagnose.hypothesis import Data, Fixed, Parts
 from aemd.diagnose.kernels import MARKOV, PAIR, PAIR_SECOND, PREVIOUS, WHITE
 from aemd.diagnose.terms.witnessed import delayed, lagged
-from aemd.diagnose.undone import ABOUT_VALUES, UNDONE, undo, wider_noise
+from aemd.diagnose.undone import ABOUT_VALUES, UNDONE, doubtful, undo, wider_noise
 from aemd.errors import ConfigError
 
 __all__ = ["BOUNDED", "Given", "accept", "student"]
@@ -42,6 +42,8 @@ BOUNDED = ("quantisation", "saturation", "dead_band")
 _NOISES = (model.DifferenceNoise, model.HeavyTails, model.SignalDependentNoise)
 _MET = (model.Nonlinearity, model.SupplyCoupling, model.ReadingPattern)
 """Effects that may also come before a noise: the filter meets them by their slope at the prediction."""
+_DOUBTFUL = 0.01
+"""Share of the readings whose range is in doubt, from which a model that is right would be found wrong."""
 _TAIL = np.array([1.0, 0.85, 0.65, 0.45, 0.25, 0.1, 0.03, 0.008, 0.002, 0.0005, 0.0])
 """Probabilities at which Student's law, as a mixture of normal laws, is cut; finer where one is rare and wide."""
 
@@ -67,19 +69,13 @@ def accept(stated: model.Model, place: str) -> tuple["Given", frozenset[str]]:
         raise ConfigError(f"{place}: shocks: the likelihood carries one kind; join them")
     if len(jumping) > 1:
         raise ConfigError(f"{place}: popcorn_noise: the likelihood carries one; {way_out}")
-    after, before = _split(stated.effects)
+    _, before = _split(stated.effects)
     for effect in before:
         if not isinstance(effect, (*_NOISES, *_MET)):
             raise ConfigError(
                 f"{place}: {_name(effect)}: the likelihood carries it after all noise, and here "
                 f"{_name(next(item for item in reversed(stated.effects) if isinstance(item, _NOISES)))} comes later; "
                 "change their order"
-            )
-    for effect in after:
-        if isinstance(effect, model.RangeSwitching) and effect.offset_V < 0:
-            raise ConfigError(
-                f"{place}: range_switching: offset_V = {effect.offset_V:g}: below 0 a reading does not tell its range, "
-                f"and the likelihood cannot carry it; {way_out}"
             )
     if jumping:
         beside = [*shocks, *(item for item in stated.effects if isinstance(item, (*_NOISES[1:], *UNDONE.__args__)))]
@@ -88,7 +84,9 @@ def accept(stated: model.Model, place: str) -> tuple["Given", frozenset[str]]:
                 raise ConfigError(
                     f"{place}: popcorn_noise: the likelihood does not carry it beside {_name(part)}; {way_out}"
                 )
-    return Given(stated), frozenset(_DEFECTS[type(effect)] for effect in stated.effects if type(effect) in _DEFECTS)
+    return Given(stated, place=place), frozenset(
+        _DEFECTS[type(effect)] for effect in stated.effects if type(effect) in _DEFECTS
+    )
 
 
 def _name(part: object) -> str:
@@ -122,6 +120,21 @@ class Given(Fixed):
     aperture_s: float = 0.02
     cause: str = "base"
     cost_nats: float = 0.0
+    place: str = ""
+    """Where the model stands, for a refusal."""
+
+    def refuse(self, data: Data) -> None:
+        """Refuse what the likelihood does not carry of these readings, though it does of others.
+
+        Raises:
+            ConfigError: the range of too many readings cannot be told.
+        """
+        share = doubtful(_split(self.stated.effects)[0], data)
+        if share > _DOUBTFUL:
+            raise ConfigError(
+                f"{self.place}: range_switching: sd_V: with that noise {100 * share:.0f} % of the readings may be of "
+                "either range, and the likelihood cannot carry it; take it out, and it is looked for instead"
+            )
 
     def add(self, theta: Floats, data: Data, parts: Parts) -> None:  # noqa: ARG002 - a Term's
         """Put every part where it belongs."""
@@ -220,8 +233,8 @@ class Given(Fixed):
                 parts.noise_var += variances[0]
                 parts.tails += zip(shares[1:].tolist(), (variances[1:] - variances[0]).tolist(), strict=True)
             case model.SignalDependentNoise(fraction=fraction):
-                parts.extras[0] = fraction**2
-                parts.extras[4] = float(parts.mean[0]) + data.origin_V / unit
+                parts.extras[0] = -(fraction**2)
+                parts.extras[4] = data.origin_V / unit
             case model.Nonlinearity(coefficient_per_V=coefficient, centre_V=centre):
                 # About the level x, the bent scale has the slope 1 + 2 b (x - centre).
                 away = float(parts.mean.mean()) + (data.origin_V - centre) / unit

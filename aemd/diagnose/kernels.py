@@ -8,7 +8,8 @@ where x stacks first-order processes, swinging pairs and short memories. With sh
 jump of variance A^2 in the shock's states or none; with tails, each reading has as many again per further noise. The
 filter keeps one Gaussian: the mixture's mean and covariance. All hypotheses move the mean along one of two directions,
 with the jump or without, so collapsing costs three outer products however many there are. A bent scale, y = x + b x^2,
-is met by its slope at the prediction.
+is met by its slope at the prediction. A gain that flickers, y = x (1 + f n), is a mixture, too: of what n may be, given
+which all is linear. Its variance alone, f^2 (E x)^2, would leave out what is not known of x, and all of its tails.
 
 Of a reading that was rounded, clipped or held by a dead band only an interval is known. Each hypothesis then has the
 probability of the interval in place of a density, and its update the mean and variance of a normal law cut to it.
@@ -65,6 +66,13 @@ _STEEP = 500.0  # logarithm of odds from which they are taken relative to the li
 _AGES = 3
 """Readings since the last jump that are told apart, the last for all longer ones. Against 20, on records of 1,500 to
 9,000 readings with jumps of three deviations, 3 lose up to 0.6 nats of a likelihood, 2 up to 3."""
+_FLICKERS, _FLICKER_SHARES = np.polynomial.hermite_e.hermegauss(11)
+_FLICKER_SHARES = _FLICKER_SHARES / _FLICKER_SHARES.sum()
+"""Normal numbers, and their probabilities, that a gain that flickers has: the moments of the normal law up to the
+21st."""
+_SMOOTH = 1.5
+"""Distance of two such readings in deviations of each up to which their sum has no ripple."""
+_LEAST_SMOOTHED = 0.02
 _NEGLIGIBLE = 1e-4
 """Probability of a history from which it is dropped; a jump a moment later brings it back."""
 
@@ -214,6 +222,7 @@ def _filter(
     # At the first reading stands what is left of a shock before it, if one was within its decay.
     jump, jump_step = (1.0 - exp(-shocks[0] * states[shock_at, 1]) if shock_at >= 0 else 0.0), -1.0
     jumped, moved = np.zeros(m), np.zeros(m)
+    flickering = np.zeros((4, 2 * noises * _FLICKERS.size if extras[0] < 0.0 else 0))
     diagonal = True
     for i in range(m):
         if states[i, 0] != MARKOV:
@@ -251,7 +260,7 @@ def _filter(
             state += states[i, 5] * x[i]
         guess = mean[k] + scale[k] * (state + extras[1] * state * state)
         slope = scale[k] * (1.0 + 2.0 * extras[1] * state)
-        r = noise_var[k] + extras[0] * (state + extras[4]) ** 2
+        r = noise_var[k] + max(extras[0], 0.0) * (state + extras[4]) ** 2
         if predicted.size:
             predicted[k] = guess
         if frozen and r == last_noise and scale[k] == last_scale:
@@ -267,8 +276,9 @@ def _filter(
                 column[i] = c * slope
                 s += states[i, 5] * c * slope * slope
             log_s = 0.5 * log(s)
+        whole = guess + extras[4]  # where a gain flickers, what it multiplies
         if variance.size:
-            variance[k] = s
+            variance[k] = s if extras[0] >= 0.0 else s - extras[0] * (whole * whole + s)
         if not used[k]:
             frozen = False
             if gains.size:
@@ -309,6 +319,80 @@ def _filter(
             inverse[i] = 1.0 / spread[i]
         bounded = low.size > 0 and high[k] > low[k]
         top = 0.0
+        for i in range(m):
+            jumped[i] = column[i] + jump_var * weight_at * slope * struck[i]
+        if extras[0] < 0.0:
+            f = sqrt(-extras[0])
+            # A part of the flicker stays a plain noise, so that what the others lead to has no ripple.
+            a = f * f * whole * whole / s
+            step = (_FLICKERS[6] - _FLICKERS[5]) ** 2 * a
+            smoothed = max((step - _SMOOTH**2) / (step + _SMOOTH**2 * a) if a > 0.0 else 0.0, _LEAST_SMOOTHED)
+            odds_of, e_of, root_of, gain_of = flickering[0], flickering[1], flickering[2], flickering[3]
+            top = -1e300
+            for q in range(count * _FLICKERS.size):
+                i, j = q % count, q // count
+                off = f * sqrt(1.0 - smoothed) * _FLICKERS[j]
+                gain_of[q], e_of[q] = 1.0 + off, e - off * whole
+                root_of[q] = sqrt(spread[i] * (1.0 + off) ** 2 + smoothed * f * f * (whole * whole + spread[i]))
+                prior = share[i] * (1.0 - jump) if i < noises else share[i - noises] * jump
+                prior *= _FLICKER_SHARES[j]
+                if bounded:
+                    lower, upper = (low[k] - y[k] + e_of[q]) / root_of[q], (high[k] - y[k] + e_of[q]) / root_of[q]
+                    odds_of[q] = log(prior * max(_within(lower, upper), 1e-300))
+                else:
+                    odds_of[q] = log(max(prior, 1e-300) / root_of[q]) - 0.5 * (e_of[q] / root_of[q]) ** 2
+                top = max(top, odds_of[q])
+            weights, below, above = 0.0, 0.0, 0.0
+            for q in range(count * _FLICKERS.size):
+                odds_of[q] = exp(odds_of[q] - top)
+                weights += odds_of[q]
+                if cdf.size:
+                    i = q % count
+                    prior = share[i] * (1.0 - jump) if i < noises else share[i - noises] * jump
+                    prior *= 0.5 * _FLICKER_SHARES[q // count]
+                    if bounded:
+                        lower, upper = (low[k] - y[k] + e_of[q]) / root_of[q], (high[k] - y[k] + e_of[q]) / root_of[q]
+                        a, b = lower / sqrt(2.0), upper / sqrt(2.0)
+                        below += prior * ((1.0 - chance[k]) * erfc(-a) + chance[k] * erfc(-b))
+                        above += prior * ((1.0 - chance[k]) * erfc(a) + chance[k] * erfc(b))
+                    else:
+                        below += prior * erfc(-e_of[q] / (root_of[q] * sqrt(2.0)))
+                        above += prior * erfc(e_of[q] / (root_of[q] * sqrt(2.0)))
+            density = top + log(weights) - (0.0 if bounded else root_two_pi)
+            total += density
+            if each.size:
+                each[k] = density
+            if cdf.size:
+                cdf[k] = max(above, 1e-300) if above < below else -max(below, 1e-300)
+            still, still_by, a, moving, moving_by, b, struck_odds = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for q in range(count * _FLICKERS.size):
+                w, root = odds_of[q] / weights, root_of[q]
+                gain, by = gain_of[q] / root**2, gain_of[q] * e_of[q] / root**2
+                if bounded:
+                    lower, upper = (low[k] - y[k] + e_of[q]) / root, (high[k] - y[k] + e_of[q]) / root
+                    centre, kept = _cut(lower, upper, _within(lower, upper))
+                    by, gain = gain_of[q] * centre / root, (1.0 - kept) * gain
+                if q % count < noises:
+                    still, still_by = still + w * gain, still_by + w * by
+                    a += w * (by * by - gain * gain_of[q])
+                else:
+                    moving, moving_by = moving + w * gain, moving_by + w * by
+                    b += w * (by * by - gain * gain_of[q])
+                    struck_odds += w
+            if shock_at >= 0 and struck_odds > 0.0:
+                for i in range(m):
+                    if struck[i] != 0.0:
+                        for j in range(m):
+                            p[i, j] += struck_odds * jump_var * struck[i] * struck[j]
+            for i in range(m):
+                moved[i] = still_by * column[i] + moving_by * jumped[i]
+                x[i] += moved[i]
+                for j in range(i + 1):
+                    p[i, j] += a * column[i] * column[j] + b * jumped[i] * jumped[j] - moved[i] * moved[j]
+                    p[j, i] = p[i, j]
+                if gains.size:
+                    gains[k, i] = still * column[i] + moving * jumped[i]
+            continue
         if not bounded:
             # By their odds to the usual noise without a jump, unless that one is all but impossible.
             for i in range(1, count):
@@ -356,8 +440,6 @@ def _filter(
                 cdf[k] = tail * (1.0 if e >= 0 else -1.0)
         # Each hypothesis moves the mean by its gain times e; that of a jump sees the covariance with the jump in it.
         # The mixture's covariance is the mean of theirs, plus the spread of their means.
-        for i in range(m):
-            jumped[i] = column[i] + jump_var * weight_at * slope * struck[i]
         share_of = 1.0 / weights
         still, still_by, a, moving, moving_by, b, struck_odds = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(count):
@@ -420,9 +502,10 @@ def log_densities(
         states: table of states, shape (m, 6).
         shocks: rate per s, variance of the jump, index of the shock's state or -1; where a jump strikes other states,
             the part of it that each state takes, shape (3,) or (3 + m,).
-        extras: noise variance per squared state, quadratic coefficient, probability and variance of an outlier, the
-            offset of the state for the first, and the bias of the jumps' sign, within (-1, 1); then probability and
-            added variance of each further noise, shape (6 + 2 j,).
+        extras: noise variance per squared state (below 0: less the variance of a gain that flickers, and the whole
+            reading, noise too, is what it multiplies; the offset is then the origin's), quadratic coefficient,
+            probability and variance of an outlier, the offset of the state for the first, and the bias of the jumps'
+            sign, within (-1, 1); then probability and added variance of each further noise, shape (6 + 2 j,).
         low: where of a reading only an interval is known, its lower end, shape (n,), or empty where there is none such.
         high: the upper end; where it is not above the lower one, the reading is `y`.
     """

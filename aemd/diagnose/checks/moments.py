@@ -221,7 +221,7 @@ def gain_of_growth(fit: Fit, begun: SignalDependentNoise) -> float | None:
     The base has taken it for white noise, of which a climb begins with as much less. The score's size is by leverages
     that had to be limited, so it may begin far too loud beside shocks.
     """
-    if fit.data.n > LONG or assemble(fit.terms, fit.theta, fit.data)[1].extras[0] > 0:
+    if fit.data.n > LONG or assemble(fit.terms, fit.theta, fit.data)[1].extras[0] != 0:
         return None
     used = fit.data.used
     power = float(np.mean((fit.predicted[used] + fit.data.origin_V / fit.data.unit_V) ** 2))
