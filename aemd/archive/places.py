@@ -192,7 +192,8 @@ def find(pattern: str, *, besides: Place | None = None) -> list[Found]:
     Raises:
         UsageError: there is none, or the scheme is unknown.
     """
-    if "://" not in pattern and Path(pattern).is_dir():
+    folder = pattern if "://" not in pattern and Path(pattern).is_dir() else ""
+    if folder:
         pattern = str(Path(pattern) / "**" / "*.mcap")
     if "://" in pattern:
         system, path = _system_of(pattern)
@@ -210,6 +211,8 @@ def find(pattern: str, *, besides: Place | None = None) -> list[Found]:
         folders = {_folder_of(item) for item in found}
         within = {folder for folder in folders if any(form.startswith(results) for form in _forms(folder))}
         found = [item for item in found if _folder_of(item) not in within]
+    if not found and folder:
+        raise UsageError(f"{folder}: holds no recording, no file *.mcap, nor do its folders")
     if not found:
         raise UsageError(f"{pattern}: no such file; put the pattern in quotes, so that the shell leaves it alone")
     return sorted(found, key=lambda item: item.name)

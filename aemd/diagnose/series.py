@@ -29,6 +29,8 @@ Floats = NDArray[np.float64]
 
 _LEAST_READINGS = 100
 """Fewer do not tell the base model's parameters apart."""
+_LEAST_CHANGES = 5
+"""Readings that are not the usual one."""
 _USUAL_APERTURE_S = 0.02
 MOST_READINGS = 1_400_000
 """26 hours at 15 readings/s: of a longer record the beginning is judged, and the report says so. Each fit goes through
@@ -124,10 +126,21 @@ def load_series(path: Path, most: int = MOST_READINGS) -> Series:
         raise RecordingError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from error
     if is_mcap:
         return _from_recording(path, path, most, numbered=True)
+    if path.suffix == ".mcap":
+        raise RecordingError(f"{path}: is no MCAP file, it does not begin as one; copy it again, or name a table .csv")
     with TemporaryDirectory() as folder:  # one reader of tables, with all its refusals
         made = Path(folder) / "table.mcap"
         import_csv(path, made)
         return _from_recording(path, made, most, numbered=False)
+
+
+def _check_changes(path: Path, values: Floats) -> None:
+    """Refuse a record that hardly ever leaves one value: how it does cannot be told from so few times."""
+    usual = float(np.nanmedian(values))
+    others = int(np.count_nonzero(np.isfinite(values) & (values != usual)))
+    if others < _LEAST_CHANGES:
+        but = f"all readings but {'one are' if others == 1 else f'{others} are'} {usual:g}"
+        raise RecordingError(f"{path}: {but}; too few others to judge by")
 
 
 def _from_recording(path: Path, made: Path, most: int, *, numbered: bool) -> Series:
@@ -148,6 +161,7 @@ def _from_recording(path: Path, made: Path, most: int, *, numbered: bool) -> Ser
         raise RecordingError(f"{path}: only {usable} of {readings.size} readings have a value; too few to judge by")
     if np.nanmin(values) == np.nanmax(values):
         raise RecordingError(f"{path}: every reading is {np.nanmax(values):g}; a constant has nothing to explain")
+    _check_changes(path, values)
     _check_size(path, values)
     t_ns = readings["t_ns"]
     if np.any(np.diff(t_ns) <= 0):

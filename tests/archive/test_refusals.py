@@ -83,6 +83,12 @@ def test_an_archive_that_is_not_there_is_one_line(tmp_path: Path, pattern: str, 
         replay_archive(pattern, str(tmp_path / "out"))
 
 
+def test_a_folder_without_a_recording_is_told_to_be_one(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    with pytest.raises(UsageError, match=r"in: holds no recording, no file \*\.mcap"):
+        replay_archive(str(tmp_path / "in"), str(tmp_path / "out"))
+
+
 def test_a_manifest_that_is_none_is_one_line(tmp_path: Path) -> None:
     write(tmp_path / "in" / "a.mcap", readings_of(200))
     (tmp_path / "out").mkdir()

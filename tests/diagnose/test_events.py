@@ -141,6 +141,14 @@ def test_the_signs_of_sure_shocks_are_coins(signs, even):
         assert 23 - 5 < -np.log2(signs_of.p_value) < 23 + 2
 
 
+def test_of_three_shocks_no_law_is_told():
+    jumps = np.zeros(4000)
+    jumps[[600, 1800, 3100]] = 0.03
+    y = clean(11) + lfilter([1], [1, -np.exp(-INTERVAL_S / 0.3)], jumps)
+
+    assert all(item.p_value == 1.0 and not item.terms for item in check_shock_law(fit_base(make_data(series(y)))))
+
+
 def test_tails_that_shocks_were_fitted_to_are_found_beside_them():
     """Of Student's law with three degrees, shocks that fade within a reading take what two normal laws can."""
     rng = np.random.default_rng(5)

@@ -250,3 +250,16 @@ def test_a_range_that_cut_a_lattice_ends_within_a_cell():
 
     assert told.low == pytest.approx(level - 5e-5, abs=1e-9)
     assert told.high == pytest.approx(level + 5e-5, abs=1e-9)
+
+
+@pytest.mark.parametrize("digits", [9, 10])
+def test_a_digit_less_from_ten_volts_on_is_rounding_and_no_dead_band(digits):
+    rng = np.random.default_rng(41)
+    value_V = np.array([float(f"{value:.{digits}g}") for value in 10 + 1e-6 * rng.standard_normal(9_000)])
+    record = series(value_V)
+    step_V = 10.0 ** (2 - digits)
+
+    assert "dead_band" not in [defect.cause for defect in check_raw(record, 1e-6)]
+    assert "quantisation" not in [defect.cause for defect in check_raw(record, 4 * step_V)]
+    coarse = {defect.cause: defect for defect in check_raw(record, 2 * step_V)}["quantisation"]
+    assert coarse.parameters["step_V"].value == pytest.approx(step_V)

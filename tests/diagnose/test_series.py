@@ -245,3 +245,21 @@ def test_an_interval_that_an_import_took_from_the_stamps_was_not_asked_for(tmp_p
 
     assert load_series(tmp_path / "r.mcap").nominal_interval_s == 0.0
     assert load_series(_recording_of(tmp_path / "own.mcap", stamps)).nominal_interval_s == INTERVAL_S
+
+
+@pytest.mark.parametrize(("others", "said"), [(1, "all readings but one are 1.5"), (4, "all readings but 4 are 1.5")])
+def test_a_record_that_hardly_leaves_one_value_is_refused(tmp_path: Path, others: int, said: str) -> None:
+    path = tmp_path / "flat.csv"
+    rows = [f"{0.1 * row:.1f},{1.500001 if row in range(100, 100 + others) else 1.5}" for row in range(300)]
+    path.write_text("time,value\n" + "\n".join(rows) + "\n")
+
+    with pytest.raises(RecordingError, match=rf"flat\.csv: {said}; too few others to judge by"):
+        load_series(path)
+
+
+def test_a_damaged_recording_is_told_to_be_none_and_no_table(tmp_path: Path) -> None:
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(bytes(range(256)) * 9)
+
+    with pytest.raises(RecordingError, match=r"damaged\.mcap: is no MCAP file"):
+        load_series(path)

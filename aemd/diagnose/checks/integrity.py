@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 from scipy.stats import binom
 
-from aemd.diagnose.checks.lattice import find_lattice, find_lattice_within
+from aemd.diagnose.checks.lattice import coarser_beyond, find_lattice, find_lattice_within
 from aemd.diagnose.checks.stamps import clock_error, missing_samples, timestamp_jitter
 from aemd.diagnose.evidence import Defect
 from aemd.diagnose.result import Value, exact
@@ -37,7 +37,8 @@ def check_raw(series: Series, innovation_sd_V: float) -> list[Defect]:
         series: the readings.
         innovation_sd_V: of the base model's one-step prediction, V.
     """
-    q_V = find_lattice(series.value_V[series.used]) or find_lattice_within(series)
+    values = series.value_V[series.used]
+    q_V = coarser_beyond(values, find_lattice(values) or find_lattice_within(series))
     band = dead_band(series, q_V, innovation_sd_V)
     clipped = saturation(series, q_V, innovation_sd_V)
     # What rests in the band rests at its level, and what is clipped at the range's end: neither is stuck.
@@ -88,7 +89,7 @@ def _offset(values: Floats, q_V: float) -> Value:
     turns = values / q_V
     here = float(np.angle(np.mean(np.exp(2j * pi * turns)))) / (2 * pi)
     off = np.abs(turns - here - np.rint(turns - here))
-    wide_V = float(np.quantile(off, 0.95)) * q_V
+    wide_V = max(float(np.quantile(off, 0.95)) * q_V, float(np.spacing(np.abs(values).max())))
     return Value(here * q_V, here * q_V - wide_V, here * q_V + wide_V, "V")
 
 

@@ -1,13 +1,13 @@
 """The lattice that readings lie on where something rounded them."""
 
-from math import inf
+from math import floor, inf, log10
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aemd.diagnose.series import Series
 
-__all__ = ["find_lattice", "find_lattice_within"]
+__all__ = ["coarser_beyond", "find_lattice", "find_lattice_within"]
 
 Floats = NDArray[np.float64]
 
@@ -17,6 +17,8 @@ _PATTERNS = (2, 3, 4, 5)
 """Periods, readings, of what may have been added to a lattice."""
 _UNEVEN = 0.1
 _FITTING = 0.95
+_A_DIGIT = (9.0, 11.0)
+"""Steps of a lattice that one of a digit less has."""
 
 
 def find_lattice(values: Floats) -> float:
@@ -57,3 +59,24 @@ def find_lattice_within(series: Series) -> float:
         if 0 < max(steps) < (1 + _UNEVEN) * min(steps):
             return float(np.median(steps))
     return 0.0
+
+
+def coarser_beyond(values: Floats, q_V: float) -> float:
+    """Return the step of the lattice beyond the largest power of ten among the magnitudes, where it is coarser there.
+
+    A log of so many significant digits leaves out one more from there on. What comes next to the power of ten on its
+    far side is a coarse step away, and no value is missing. Of readings on one side of it alone, or of one lattice, it
+    is the step that they have, `q_V`.
+
+    >>> coarser_beyond(np.array([9.99, 9.98, 9.97, 10.1, 10.2, 10.0] * 20), 0.01)
+    0.1
+    """
+    sizes = np.abs(values)
+    if not sizes.max(initial=0.0) > 0:
+        return q_V
+    far = sizes >= 10.0 ** floor(log10(sizes.max()))
+    beyond = find_lattice(values[far])
+    if far.all() or beyond <= q_V or abs(log10(beyond) - round(log10(beyond))) > 1e-3:
+        return q_V
+    before = find_lattice(values[~far])
+    return beyond if before == 0 or _A_DIGIT[0] < beyond / before < _A_DIGIT[1] else q_V

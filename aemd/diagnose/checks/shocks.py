@@ -68,7 +68,9 @@ def check_shock_law(fit: Fit) -> list[Evidence]:
     if _is_skew(fit):
         return _close(fit, marks)
     even = _positive_part(fit)
-    found = [_weighed(fit)] if even == 0.5 else [_counted(marks, even)] if marks.at.size >= _LEAST else []
+    if marks.at.size < _LEAST:  # none of so few is a law
+        return [_evidence_of_signs(1.0, 0.0, 0.0, ())] if even == 0.5 else []
+    found = [_weighed(fit)] if even == 0.5 else [_counted(marks, even)]
     return [*found, *_close(fit, marks)]
 
 
