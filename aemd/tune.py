@@ -22,6 +22,9 @@ __all__ = ["Start", "TuneSummary", "read_start", "tune_recording"]
 
 Slow = Literal["disturbance", "input"]
 
+_LEAST_NOISE_V, _MOST_NOISE_V = 1e-12, 1000.0  # a tenth of what any meter resolves; the largest range of one
+_LEAST_PERIOD = 4  # readings: a signal that has to be faster still has no band left
+
 
 @dataclass(frozen=True, slots=True)
 class TuneSummary:
@@ -103,17 +106,22 @@ def tune_recording(
 
     Raises:
         RecordingError: the recording cannot be read, or the model file exists or cannot be written.
-        UsageError: the stretch holds too little to tune by, or an option is not one with `model`.
+        UsageError: the stretch holds too little to tune by, or an option cannot be, or not with `model`.
         ConfigError: the model given is wrong, or none for a recording with this interval.
     """
     start = None
     if model is not None:
         start = read_start(model, slow=slow, slowest_signal_s=slowest_signal_s, resonances=resonances)
+    if noise_V is not None and not _LEAST_NOISE_V <= noise_V <= _MOST_NOISE_V:
+        raise UsageError(f"--noise {noise_V:g}: must be from {_LEAST_NOISE_V:g} to {_MOST_NOISE_V:g} V")
     if out.exists():  # told now, not after minutes
         raise _exists(out)
     with Recording(path) as recording:
         parts = [batch.readings for batch in recording.batches()]
         interval_s = recording.description.interval_s
+    if slowest_signal_s is not None and slowest_signal_s < _LEAST_PERIOD * interval_s:
+        least = f"{_LEAST_PERIOD} intervals of {path}, {_LEAST_PERIOD * interval_s:g} s"
+        raise UsageError(f"--slowest-signal {slowest_signal_s:g}: must be at least {least}")
     readings = np.concatenate([np.empty(0, READING), *parts])
     since_s = (readings["t_ns"] - readings["t_ns"][:1]) * 1e-9
     stretch = readings[(since_s >= from_s) & (since_s < to_s)]

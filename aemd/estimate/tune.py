@@ -79,8 +79,9 @@ def tune(
     """
     together = values_of(stretches)
     origin = float(np.median(together)) if origin_V is None else origin_V
-    slowest = 150.0 if slowest_signal_s is None else slowest_signal_s / interval_s
     pieces = pieces_of(stretches)
+    slowest = 150.0 if slowest_signal_s is None else slowest_signal_s / interval_s
+    slowest = min(slowest, 10.0 * sum(int(np.count_nonzero(usable(piece))) for piece in pieces))  # it is never seen
     found = find_resonances([_about(origin, piece) for piece in pieces], resonances) if resonances else None
 
     def likelihood_of(blocks: Sequence[Block]) -> Likelihood:

@@ -193,6 +193,7 @@ def test_readings_that_tell_nothing_are_refused_beside_a_model_too(made: Path, m
         (ESTIMATOR, ("--slow", "input"), 2, "--slow input: not with --model"),
         (ESTIMATOR, ("--slowest-signal", 10), 2, "--slowest-signal 10.0: not with --model"),
         (ESTIMATOR, ("--resonances", 3), 2, "--resonances 3: not with --model"),
+        (ESTIMATOR, ("--noise", 0), 2, "--noise 0: must be from 1e-12 to 1000 V"),
         (ESTIMATOR, ("--to", 2), 2, "too few to tune by"),
     ],
 )
@@ -206,6 +207,12 @@ def test_what_cannot_be_refined_is_refused_in_one_line_and_nothing_is_written(
 
     assert says in refused(found, err, out, code)
     assert not (tmp_path / "new.toml").exists()
+
+
+def test_a_slowest_signal_without_a_band_is_refused(aemd: Run, made: Path, tmp_path: Path) -> None:
+    found, out, err = aemd("tune", made, "--slowest-signal", 0.2, "-o", tmp_path / "new.toml")
+
+    assert "--slowest-signal 0.2: must be at least 4 intervals of" in refused(found, err, out, 2)
 
 
 def test_a_wrong_model_for_many_files_is_told_once(aemd: Run, made: Path, tmp_path: Path) -> None:
