@@ -107,6 +107,12 @@ def test_jumps_too_small_to_be_seen_one_by_one_are_found_where_a_fast_drift_stan
     assert check_popcorn(fit_base(make_data(series(1e-3 * y)))).p_value < 1e-6
 
 
+def test_jumps_far_larger_than_all_else_are_found_where_shocks_that_hardly_fade_stand_for_them():
+    level = np.searchsorted(np.cumsum(np.random.default_rng(3).exponential(300, 60)), np.arange(3000)) % 2
+
+    assert check_popcorn(fit_base(make_data(series(clean(12, 3000) + 7.5e-3 * level)))).p_value < 1e-9
+
+
 def test_the_law_of_coins_is_the_count_of_their_sides():
     sizes = np.random.default_rng(7).uniform(0.2, 1.0, 12)
     sums = np.array([signs @ sizes for signs in product((-1, 1), repeat=12)])

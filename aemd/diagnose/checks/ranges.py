@@ -20,6 +20,8 @@ Floats = NDArray[np.float64]
 
 _PARTS = np.linspace(0.05, 0.95, 19)
 """Of the readings, below the threshold that is tried."""
+_HOLE = 1.5
+"""Usual gaps from which one is a hole."""
 _ENOUGH, _PLACES = 2_000, 200
 """Readings, and values, from which it is told how many are expected about each value."""
 _EDGES = np.linspace(0.015, 0.985, 64)
@@ -97,7 +99,10 @@ def check_hole(fit: Fit) -> Evidence:
     inner = np.sort(fit.y[used])[data.n // 20 : -(data.n // 20)]
     missing = np.diff(inner) * _expected_about(fit, 0.5 * (inner[1:] + inner[:-1]))
     at = int(np.argmax(missing))
-    if missing[at] < 2 * np.partition(missing, -2)[-2]:  # one of many: a lattice
+    gaps = np.diff(inner)
+    usual = float(np.median(gaps[gaps > 0])) if gaps.any() else 0.0
+    # One of many, a lattice: where the filter expects more about one of its gaps, that is as wide as the others still.
+    if missing[at] < 2 * np.partition(missing, -2)[-2] or gaps[at] < _HOLE * usual:
         return _hole(1.0, 0.0, data.n, ())
     low, high = float(inner[at]), float(inner[at + 1])
     sd = np.sqrt(fit.variance[used])

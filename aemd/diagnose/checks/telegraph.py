@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from math import log
+from math import exp, log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,11 @@ _SMALL, _ABOVE = (1.5, 150.0), 1.0
 """Jumps that are not seen one by one, beside a slow drift, and nats above the base from which they are a start: a fast
 drift stands for them in the base, from which they were 19 nats behind where they came to 43 above. On no clean record
 is that start above the base, and none goes on from below it, since so small a level changes little."""
+_LASTING = 20.0
+"""Readings that shocks last where they stand for jumps, and of which a start goes on whatever it begins with: the base
+meets each large jump by a shock that hardly fades."""
 _CLIMBING = 2
-"""Starts that go on."""
+"""Others that go on."""
 _FIRST_STEPS, _STEPS, _LAST_STEPS = 2, 6, 12
 """Before hope is asked for; at most, of each of them, and of the best with all numbers free."""
 _BEHIND = 12.0
@@ -70,8 +73,12 @@ def check_popcorn(fit: Fit) -> Evidence:
                 start = Climb([held, term], np.concatenate((held.start, term.start)), data)
                 if (size, stay) != _SMALL or start.value > before + _ABOVE:
                     begun.append((start, held, term))
-    climbing = sorted(begun, key=lambda start: -start[0].value)[:_CLIMBING]
-    if not climbing or climbing[0][0].value < before - _BEHIND:
+    best_begun = sorted(begun, key=lambda start: -start[0].value)[:_CLIMBING]
+    climbing = [start for start in best_begun if best_begun[0][0].value >= before - _BEHIND]
+    climbing += [
+        (Climb([held, term], np.concatenate((held.start, term.start)), data), held, term) for held, term in _struck(fit)
+    ]
+    if not climbing:
         return _evidence(0.0, ())
     for climb, _, _ in climbing:
         _go_on(climb, _STEPS, before - _PROMISING)
@@ -86,6 +93,15 @@ def check_popcorn(fit: Fit) -> Evidence:
     step, low_s, high_s = np.exp(theta[-3:])
     cost = amplitude_cost(3, fit.data.n)
     return _evidence(gained, (Popcorn(float(step), float(low_s), float(high_s), cost, tuple(theta[:-3].tolist())),))
+
+
+def _struck(fit: Fit) -> list[tuple["_Beside", Popcorn]]:
+    """Return a level that jumps as often and as far as shocks strike that hardly fade, with few others beside it."""
+    base, step_s = fit.terms[0], fit.data.interval_s
+    if not (isinstance(base, Base) and base.shocks and exp(fit.theta[8]) > _LASTING * step_s):
+        return []
+    stay_s = min(max(exp(-fit.theta[6]), 2 * step_s), fit.data.span_s / 4)
+    return [(_Beside(fit.terms, _bases(fit)[-1]), Popcorn(exp(fit.theta[7]), stay_s, stay_s, 0.0))]
 
 
 def _go_on(climb: Climb, steps: int, least: float) -> None:
