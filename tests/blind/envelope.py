@@ -169,7 +169,7 @@ def draw(salt: str, ticket: tuple[str, int]) -> Envelope:
         return hide(rng, number, group, suffix, (cause,), 0.0, BELOW_D)
     others = [factor for factor in FACTORS if factor != LADDER]
     factor = others[number // len(UNCOUNTED) % len(others)]
-    if factor >= STRONG:
+    if factor > LADDER:  # a law of shocks, of as few as there are, has no plant that carries it
         return hide_strong(rng, number, suffix, cause, factor)
     return hide(rng, number, group, suffix, (cause,), factor)
 
