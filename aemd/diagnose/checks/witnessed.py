@@ -175,7 +175,13 @@ def _has(fit: Fit, name: str) -> bool:
         (isinstance(term, ThermalDrift) and term.witness == name)
         or (
             isinstance(term, Given)
-            and any(isinstance(part, model.ThermalDrift) and part.witness == name for part in term.stated.terms)
+            and (
+                any(isinstance(part, model.ThermalDrift) and part.witness == name for part in term.stated.terms)
+                or any(
+                    isinstance(part, model.SupplyCoupling) and part.witness == name and part.coefficient_V_per_V != 0
+                    for part in term.stated.effects
+                )
+            )
         )
         for term in fit.terms
     )
