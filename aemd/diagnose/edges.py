@@ -35,8 +35,6 @@ _SIDE = 24
 _OUT = 1e-3
 """Of the best one's probability: what is less likely there is looked for no farther."""
 _COARSER = 4
-_NEIGHBOURS = 4
-"""Readings next to an edge beyond which it is not, in 98 %, where they come at random."""
 _LONGEST_PULSE = 2_000
 """Readings of a pulse whose response is kept."""
 
@@ -55,7 +53,7 @@ def ends_of_places(fit: Fit, number: int) -> Mapping[str, Ends]:
         case RangeOffset() as term:
             return {"level_V": _in_the_hole(fit, number, term)}
         case RangeOverlap() as term:
-            return _overlap(fit, term)
+            return _overlap(fit, number, term)
         case _:
             return {}
 
@@ -202,21 +200,41 @@ def _in_the_hole(fit: Fit, number: int, term: RangeOffset) -> Ends:
     return max(level_V - free_V / 2, 0.0), level_V + free_V
 
 
-def _overlap(fit: Fit, term: RangeOverlap) -> dict[str, Ends]:
-    """Return level and offset between two ranges whose readings overlap: each edge is known to some readings."""
+def _overlap(fit: Fit, number: int, term: RangeOverlap) -> dict[str, Ends]:
+    """Return level and offset between two ranges whose readings overlap, by the readings' density with other edges.
+
+    Both edges are tried at once, since where one of them lies moves the readings beyond the other, too.
+    """
     data = fit.data
-    values = np.sort(data.y[data.used])
+    values = np.unique(data.y[data.used])
+    moved = float(term.apart(data.y)[data.used].mean())
 
-    def about(edge: float) -> Ends:
-        at = int(np.searchsorted(values, edge))
-        low, high = np.clip([at - _NEIGHBOURS, at + _NEIGHBOURS], 0, values.size - 1)
-        return min(float(values[low]), edge), max(float(values[high]), edge)
+    def likely(low: float, high: float) -> float:
+        tried, theta = replace(term, low=low, high=high), fit.theta.copy()
+        theta[5] += float(tried.apart(data.y)[data.used].mean()) - moved  # the level goes with what is moved
+        return float(densities([*fit.terms[:number], tried, *fit.terms[number + 1 :]], theta, data).sum())
 
-    (low, high), sign = (about(term.low), about(term.high)), (-1.0 if term.upwards else 1.0)
-    level = high if term.upwards else low
-    ends_V = sorted(abs(end * data.unit_V + data.origin_V) for end in level)
-    apart_V = sorted(sign * by * data.unit_V for by in (max(high[0] - low[1], 0.0), high[1] - low[0]))
-    return {"level_V": (ends_V[0], ends_V[1]), "offset_V": (apart_V[0], apart_V[1])}
+    middle, apart = np.searchsorted(values, (term.low, term.high)), 1
+    turns = np.arange(-_SIDE // 4, _SIDE // 4 + 1)
+    while True:
+        low, high = (values[np.unique(np.clip(at + apart * turns, 0, values.size - 1))] for at in middle)
+        nats = np.array([[likely(one, other) if one < other else -np.inf for other in high] for one in low])
+        odds = np.exp(nats - nats.max())
+        border = max(odds[0].max(), odds[-1].max(), odds[:, 0].max(), odds[:, -1].max())
+        if border < _OUT or apart * _SIDE > values.size:
+            break
+        apart *= _COARSER
+    some = np.random.default_rng(0).choice(odds.size, _DRAWS, p=(odds / odds.sum()).ravel())
+    at = np.unravel_index(some, odds.shape)
+    rng = np.random.default_rng(1)
+    # Anywhere between two of the places: nothing was tried there.
+    lows, highs = (
+        np.interp(which + rng.uniform(-0.5, 0.5, _DRAWS), np.arange(edges.size), edges)
+        for which, edges in zip(at, (low, high), strict=True)
+    )
+    sign, level = (-1.0, highs) if term.upwards else (1.0, lows)
+    drawn = {"level_V": np.abs(level * data.unit_V + data.origin_V), "offset_V": sign * (highs - lows) * data.unit_V}
+    return {item.name: _about(drawn[item.name], item.value(np.empty(0)), 0.0) for item in term.parameters(data)}
 
 
 def _between(log_odds: Floats) -> tuple[int, int]:
